@@ -45,9 +45,15 @@ class Fault(NamedTuple):
 
 
 class FaultLog:
-    """The faults of a drive, up to MAX_ENTRIES of them."""
+    """The faults of a drive, up to MAX_ENTRIES of them.
 
-    def __init__(self):
+    Args:
+        present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
+            twice, nor is the battery, which throttle_arb reports on /diagnostics and logs.
+    """
+
+    def __init__(self, present: Collection[str] = ()):
+        self._present = present
         self.entries: list = []  # in order of their ends; ``finish`` sorts them by their starts
         self.dropped = 0  # how many more there were
         self._open: dict = {}  # conditions that last, by key
@@ -77,20 +83,17 @@ class FaultLog:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
         another one.
         """
-        fault, since_s = self._open.get(key), self._starting_s.setdefault(key, time_s)
-        if fault is not None and (level == OK or without_numbers(fault.what) != without_numbers(what)):
-            ended = fault._replace(end_s=time_s)
-            if fault.level == WARN and time_s - since_s <= STARTS_WITHIN_S:
-                self._starts.append(ended)
-            else:
-                self.add(ended)
-            del self._open[key]
-            fault = None
+        since_s, fault = self._starting_s.setdefault(key, time_s), self._open.pop(key, None)
+        goes_on = fault is not None and level != OK and without_numbers(fault.what) == without_numbers(what)
+        if fault is not None and not goes_on:
+            is_start = fault.level == WARN and time_s - since_s <= STARTS_WITHIN_S
+            (self._starts.append if is_start else self.add)(fault._replace(end_s=time_s))
         if level == OK:
             self._starting_s[key] = -math.inf
+        elif goes_on:
+            self._open[key] = fault._replace(level=max(level, fault.level))
         else:
-            self._open[key] = fault._replace(level=max(level, fault.level)) if fault else \
-                Fault(time_s, level, where, what)
+            self._open[key] = Fault(time_s, level, where, what)
 
     def finish(self, driven_from_s: float = math.inf) -> None:
         """Add the conditions that lasted until the recording's end, and sort all faults by their starts. What a node
@@ -100,18 +103,6 @@ class FaultLog:
             self.add(fault)
         self.entries.sort(key=lambda fault: fault.start_s)
 
-
-class NodeReports:
-    """Adds the faults in /diagnostics and /rosout.
-
-    Args:
-        present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
-            twice, nor is the battery, which throttle_arb reports on /diagnostics and logs.
-    """
-
-    def __init__(self, faults: FaultLog, present: Collection[str]):
-        self._faults, self._present = faults, present
-
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
@@ -120,7 +111,7 @@ class NodeReports:
                 continue
             # rosbags has a message's byte as a number or as bytes.
             level = status.level[0] if isinstance(status.level, (bytes, bytearray)) else int(status.level)
-            self._faults.update_condition(time_s, status.name, min(level, ERROR), node.strip("/"), status.message)
+            self.update_condition(time_s, status.name, min(level, ERROR), node.strip("/"), status.message)
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
@@ -129,7 +120,7 @@ class NodeReports:
             text.startswith("human in loop: ") and OWN_TOPICS["gamepad"] in self._present or \
             text.startswith(f"{BATTERY_REPORT}: ") and DIAGNOSTICS in self._present
         if level != OK and not is_known:
-            self._faults.add_repeated(time_s, level, node, text)
+            self.add_repeated(time_s, level, node, text)
 
 
 class Gap(NamedTuple):

@@ -24,7 +24,7 @@ from car_interface.tools.recordings.recording import (
 )
 from car_interface.tools.recordings.roles import find, other_cars
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog, NodeReports
+from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
     Drivers,
@@ -56,8 +56,8 @@ TOPICS = {  # without a role: their types, and the same
     "teensy_clock": ("car_interface/TeensyClock", "teensy.on_clock"),
     "teensy_error": ("car_interface/Error", "teensy.on_error"),
     calibration_result.TOPIC: ("std_msgs/String", "on_calibration"),
-    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reports.on_diagnostics"),
-    "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "reports.on_log"),
+    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "faults.on_diagnostics"),
+    "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "faults.on_log"),
 }
 # A topic with the name of one of these may be something else: it is not read then.
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
@@ -83,7 +83,7 @@ class Summary:
         self.steps_back = 0  # how often its clock was set back
         self.notes: list = []  # a line for each topic that was named, guessed or not found, or is odd
         self.calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
-        self.traces, self.faults = Traces(self.duration_s), FaultLog()
+        self.traces, self.faults = Traces(self.duration_s), FaultLog(present)
         self.coverage = Coverage(prefix(namespace), self.duration_s)
         found = self.traces, self.faults
         self.gamepad, self.throttle, self.planner = GamepadWatch(*found), ThrottleWatch(*found), PlannerWatch(*found)
@@ -96,7 +96,6 @@ class Summary:
         self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
         self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion)
         self.teensy = TeensyWatch(*found)
-        self.reports = NodeReports(self.faults, present)
 
     def handlers(self) -> dict:
         """Return functions of time in s and message for each of READS."""

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.report.faults import ERROR, OK, WARN, Fault, FaultLog, NodeReports
+from car_interface.tools.report.faults import ERROR, OK, WARN, Fault, FaultLog
 from car_interface.tools.report.page import page
 from written_recordings import HOSTILE
 
@@ -67,12 +67,11 @@ LOW = "the battery has 6.90 V after it fell below warn_below, 7 V: low until it 
     pytest.param(["/diagnostics", "/rosout"], [LOW], id="once"),
     pytest.param(["/rosout"], [f"battery: {LOW}"], id="from_the_log_alone")])
 def test_low_battery_that_is_reported_and_logged_is_listed_once(present, listed):
-    faults = FaultLog()
-    nodes = NodeReports(faults, present)
+    faults = FaultLog(present)
     if "/diagnostics" in present:
-        nodes.on_diagnostics(1.0, SimpleNamespace(
+        faults.on_diagnostics(1.0, SimpleNamespace(
             status=[SimpleNamespace(name="throttle_arb: battery", level=WARN, message=LOW)]))
-    nodes.on_log(1.0, SimpleNamespace(name="/throttle_arb", level=4, msg=f"battery: {LOW}"))
+    faults.on_log(1.0, SimpleNamespace(name="/throttle_arb", level=4, msg=f"battery: {LOW}"))
     faults.finish()
     assert [fault.what for fault in faults.entries] == listed
 
