@@ -10,6 +10,8 @@ from collections import Counter, deque
 from statistics import median_low
 from typing import Any
 
+import numpy as np
+
 from car_interface.common.sources import DRIVE, PLANNER
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
 from car_interface.tools.recordings.columns import (
@@ -308,14 +310,10 @@ class MotionWatch:
 
 
 def _slope(samples):
-    """Return the slope of a line through (time, value, …) in least squares."""
-    count, begin = len(samples), samples[0][0]
-    mean_t = sum(sample[0] - begin for sample in samples) / count
-    mean_v = sum(sample[1] for sample in samples) / count
-    spread = sum((sample[0] - begin - mean_t) ** 2 for sample in samples)
-    if not spread:
-        return math.nan
-    return sum((sample[0] - begin - mean_t) * (sample[1] - mean_v) for sample in samples) / spread
+    """Return the slope of a line through (time, value, …) in least squares; the times differ."""
+    times, values = np.transpose([sample[:2] for sample in samples])
+    offsets = times - times.mean()
+    return float(offsets @ (values - values.mean()) / (offsets @ offsets))
 
 
 class ImuWatch:
