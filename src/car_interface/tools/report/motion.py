@@ -222,7 +222,7 @@ class MotionWatch:
         self._has_twist = False  # until one isn't 0 the speed is the pose's: motion capture sends poses alone
         self._by_pose = PoseSpeed()
         self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, place, yaw
-        self._newest_s: float | None = None  # when the newest of them was recorded
+        self._newest_s = math.nan  # when the newest of them was recorded; NaN = there is none
 
     def on_odom(self, time_s: float, message: Any) -> None:
         """Take a nav_msgs/Odometry."""
@@ -238,7 +238,7 @@ class MotionWatch:
             speed, lag_s = self._by_pose.update(stamp_s, place, yaw)
         for sender in (self._steering, self._asked):
             sender.expire(time_s)
-        if self._newest_s is not None:
+        if self._poses:
             self._move(time_s, place, yaw, speed)
         self._newest_s = time_s
         self._poses.append((stamp_s, place, yaw))
@@ -256,8 +256,7 @@ class MotionWatch:
 
     def turn_rate_at(self, time_s: float) -> float | None:
         """Return the turn rate in rad/s, left positive; ``None`` = unknown, or odometry is silent."""
-        is_silent = self._newest_s is None or not 0 <= time_s - self._newest_s <= MAX_GAP_S
-        return None if is_silent else self._turn_rate_radps
+        return self._turn_rate_radps if 0 <= time_s - self._newest_s <= MAX_GAP_S else None
 
     def note(self, topic: str) -> str:
         """Return what the speed is by if not by the twist of odometry on a topic; empty: by that."""

@@ -62,21 +62,17 @@ ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "RE
 
 def plots(drive: Summary) -> dict[str, str]:
     """Return the SVGs for which there are data, by name, in the order of the page."""
-    made = {}
     with matplotlib.rc_context(STYLE):
-        for name, draw, description in (
-                ("calibration", _calibration, "the curvature of each duty: driven, by the new table, by the old one"),
-                ("who", _who, "who drove when, as bands of colour over time"),
-                ("steering", _steering, "curvature requested, sent and driven, and the servo's duty, over time"),
-                ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
-                ("path", _path, "the car's path from above, with the places that the sonars saw"),
-                ("speed", _speed, "speed, acceleration and the ESC over time"),
-                ("battery", _battery, "the battery's voltage over time"),
-                ("link", _link, "frames, round trip and clock skew of the Teensy's link over time")):
-            figure = draw(drive)
-            if figure is not None:
-                made[name] = svg_text(figure, name, description)
-    return made
+        return {name: svg_text(figure, name, description) for name, draw, description in (
+            ("calibration", _calibration, "the curvature of each duty: driven, by the new table, by the old one"),
+            ("who", _who, "who drove when, as bands of colour over time"),
+            ("steering", _steering, "curvature requested, sent and driven, and the servo's duty, over time"),
+            ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
+            ("path", _path, "the car's path from above, with the places that the sonars saw"),
+            ("speed", _speed, "speed, acceleration and the ESC over time"),
+            ("battery", _battery, "the battery's voltage over time"),
+            ("link", _link, "frames, round trip and clock skew of the Teensy's link over time"),
+        ) if (figure := draw(drive)) is not None}
 
 
 def _calibration(drive):
@@ -360,12 +356,11 @@ def stack(drive, panels):
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.45 * len(heights) + 0.25), constrained_layout=True)
     all_axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False,
                                gridspec_kw={"height_ratios": heights})[:, 0]
-    for axes in all_axes:
-        time_axis(axes, drive, labelled=axes is all_axes[-1])
+    time_axis(all_axes[-1], drive)
+    for axes, draw in zip(all_axes, draws):
         for start_s, width_s, source in bands(drive):  # who steered, along the lower edge
             axes.broken_barh([(start_s, width_s)], (0, 0.025), color=DRIVER_COLOURS[source], linewidth=0,
                              transform=axes.get_xaxis_transform(), zorder=1)
-    for axes, draw in zip(all_axes, draws):
         draw(axes)
     return figure
 
@@ -401,14 +396,13 @@ def _panel(height_in, text, *curves, right=(), limits=None, right_limits=None):
     return height_in, draw
 
 
-def time_axis(axes, drive, labelled=True):
-    """Set the range and the labels of a time axis."""
+def time_axis(axes, drive):
+    """Set the range and the labels of a time axis, and of those that share it."""
     axes.set_xlim(0, max(drive.duration_s, 1e-3))
     if drive.duration_s > 180:
         axes.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 1.2, 1.5, 2, 3, 6, 10]))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda time_s, _: f"{int(time_s) // 60}:{int(time_s) % 60:02}"))
-    if labelled:
-        axes.set_xlabel("minutes:seconds" if drive.duration_s > 180 else "seconds")
+    axes.set_xlabel("minutes:seconds" if drive.duration_s > 180 else "seconds")
 
 
 def bands(drive):
