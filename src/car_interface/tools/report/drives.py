@@ -13,28 +13,12 @@ from matplotlib.figure import Figure
 
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
+from car_interface.tools.report import plots
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
-from car_interface.tools.report.plots import (
-    BAD,
-    FAINT,
-    REQUESTED,
-    SENT,
-    STYLE,
-    WIDTH_IN,
-    label_text,
-    legend,
-    svg_text,
-    title,
-)
 from car_interface.tools.report.summary import Summary
 
 VERSION = 4  # of a row's content: rows of another version are computed again
-CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
-               "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
-               "map_brake_mps2", "battery_min_v", "frames", "corrupt_frames", "port_reopened", "teensy_reboots",
-               "pings_unanswered",
-               "faults", "errors", "cant_tell", "notes", "error")
 # A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes
 # come from other people's recordings. The last five: the full-width = + - @ of Japanese keyboards, and the minus sign.
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20", "\u2212")
@@ -44,11 +28,12 @@ MAX_CAUSES = 5  # that have a colour of their own
 CAUSE_COLOURS = ("#c0392b", "#d9822b", "#2f6fb3", "#1b9e77", "#8e5ea2", "#b8bfc7")
 # Trends that are lines: title, how far from 0 the axis reaches at least, and label and colour by the row's field.
 LINES = (
-    ("Driven when sent straight on: 1/radius in 1/m, left up", 0.01, {"straight_per_m": ("", SENT)}),
-    ("Tighter than the tables say, in % of the radius", 3.0, {"left_ratio": ("left", SENT),
-                                                              "right_ratio": ("right", REQUESTED)}),
+    ("Driven when sent straight on: 1/radius in 1/m, left up", 0.01, {"straight_per_m": ("", plots.SENT)}),
+    ("Tighter than the tables say, in % of the radius", 3.0, {"left_ratio": ("left", plots.SENT),
+                                                              "right_ratio": ("right", plots.REQUESTED)}),
     ("Acceleration beyond what the planner requested, in m/s²", 0.1, {
-        "drive_mps2": ("driving", SENT), "hold_mps2": ("holding the speed", FAINT), "brake_mps2": ("braking", BAD)}))
+        "drive_mps2": ("driving", plots.SENT), "hold_mps2": ("holding the speed", plots.FAINT),
+        "brake_mps2": ("braking", plots.BAD)}))
 
 
 class Row(NamedTuple):
@@ -204,24 +189,31 @@ def _link(row):
 
 
 def csv_text(rows: Sequence[Row]) -> str:
-    """Return the rows as CSV; an empty cell = the recording can't tell.
+    """Return the rows, one at least, as CSV; an empty cell = the recording can't tell.
 
     Texts are in quotation marks, and none is a formula for a spreadsheet: see FORMULA_STARTS. Numbers are neither
     quoted nor marked.
     """
-    lines = [",".join(CSV_COLUMNS)]
-    for row in rows:
-        losses = row.losses
-        has_date = row.start_ns is not None and row.start_ns >= MIN_DATE_NS
-        lines.append(",".join(map(_csv_cell, (
-            row.path, time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(row.start_ns / NS_PER_S)) if has_date else None,
-            _rounded(row.duration_s, 3), _rounded(row.distance_m and row.distance_m / 1000, 6),
-            _rounded(row.gamepad_s, 3), _rounded(row.planner_s, 3), None if losses is None else sum(losses.values()),
-            None if losses is None else "; ".join(f"{cause}: {count}" for cause, count in sorted(losses.items())),
-            row.straight_per_m, row.left_ratio, row.right_ratio, row.drive_mps2, row.hold_mps2, row.brake_mps2,
-            row.battery_v, row.frames, row.corrupt, row.reopened, row.reboots, row.unanswered, row.faults, row.errors,
-            "; ".join(row.lacks), "; ".join(row.notes), row.error))))
-    return "\n".join(lines) + "\n"
+    named = [_csv_columns(row) for row in rows]
+    return "".join(",".join(cells) + "\n" for cells in (named[0], *(map(_csv_cell, one.values()) for one in named)))
+
+
+def _csv_columns(row):
+    """Return what the CSV says of a row by the names of its columns."""
+    losses, has_date = row.losses, row.start_ns is not None and row.start_ns >= MIN_DATE_NS
+    return {
+        "recording": row.path,
+        "start_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(row.start_ns / NS_PER_S)) if has_date else None,
+        "duration_s": _rounded(row.duration_s, 3), "distance_km": _rounded(row.distance_m and row.distance_m / 1000, 6),
+        "gamepad_s": _rounded(row.gamepad_s, 3), "planner_s": _rounded(row.planner_s, 3),
+        "losses": None if losses is None else sum(losses.values()),
+        "losses_by_cause": "; ".join(f"{cause}: {count}" for cause, count in sorted((losses or {}).items())),
+        "straight_per_m": row.straight_per_m, "left_ratio": row.left_ratio, "right_ratio": row.right_ratio,
+        "map_drive_mps2": row.drive_mps2, "map_hold_mps2": row.hold_mps2, "map_brake_mps2": row.brake_mps2,
+        "battery_min_v": row.battery_v, "frames": row.frames, "corrupt_frames": row.corrupt,
+        "port_reopened": row.reopened, "teensy_reboots": row.reboots, "pings_unanswered": row.unanswered,
+        "faults": row.faults, "errors": row.errors, "cant_tell": "; ".join(row.lacks), "notes": "; ".join(row.notes),
+        "error": row.error}
 
 
 def _csv_cell(value):
@@ -249,8 +241,8 @@ def trends(rows: Sequence[Row]) -> str:
         if any(getattr(row, name) is not None for row in rows for name in names)]
     if len(rows) < 2 or not panels:
         return ""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 1.75 * len(panels) + 0.7), constrained_layout=True)
+    with matplotlib.rc_context(plots.STYLE):
+        figure = Figure(figsize=(plots.WIDTH_IN, 1.75 * len(panels) + 0.7), constrained_layout=True)
         all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for draw, axes in zip(panels, all_axes):
             draw(axes=axes, rows=rows)
@@ -258,19 +250,20 @@ def trends(rows: Sequence[Row]) -> str:
         shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly: none covers its neighbour; the newest has a date
         all_axes[-1].set(xlim=(-0.6, len(rows) - 0.4), xticks=shown)
         all_axes[-1].set_xticklabels([_date(rows[index], "\n") for index in shown])
-        return svg_text(figure, "trends", "distance, losses, steering, value map and link errors from drive to drive")
+        return plots.svg_text(figure, "trends",
+                              "distance, losses, steering, value map and link errors from drive to drive")
 
 
 def _distance(axes, rows):
-    title(axes, "Distance in m")
+    plots.title(axes, "Distance in m")
     heights = _column(row.distance_m for row in rows)
-    axes.bar(range(len(rows)), heights, color=SENT, width=0.7)
+    axes.bar(range(len(rows)), heights, color=plots.SENT, width=0.7)
     _mark_zeros(axes, heights)
     axes.set_ylim(0, max(1.0, 1.08 * float(np.nanmax(heights))))
 
 
 def _losses(axes, rows):
-    title(axes, "Lost or locked while somebody drove, times")
+    plots.title(axes, "Lost or locked while somebody drove, times")
     total = sum((Counter(row.losses or {}) for row in rows), Counter())
     shown = [cause for cause, _ in total.most_common(MAX_CAUSES)]
     bottom = np.zeros(len(rows))
@@ -279,44 +272,44 @@ def _losses(axes, rows):
                                 if name == cause or cause is None and name not in shown) for row in rows], float)
         if heights.any():
             axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7,
-                     label=label_text(cause or "others"))
+                     label=plots.label_text(cause or "others"))
             bottom += heights
     _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
     axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))
     axes.yaxis.get_major_locator().set_params(integer=True)
-    legend(axes)
+    plots.legend(axes)
 
 
 def _mark_zeros(axes, heights):
     """Draw a point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
     at = np.flatnonzero(heights == 0)
     if at.size:  # not clipped and empty would have no place for the layout
-        axes.plot(at, np.zeros(at.size), color=FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
+        axes.plot(at, np.zeros(at.size), color=plots.FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
 
 
 def _lines(text, least, columns, axes, rows):
     """Draw a line through what is known of each column; the axis reaches at least as far as ``least`` beside 0."""
-    title(axes, text)
+    plots.title(axes, text)
     for name, (label, colour) in columns.items():
         is_ratio = name.endswith("_ratio")
         values = _column(_tighter_percent(number) if is_ratio else number
                          for number in (getattr(row, name) for row in rows))
         known = np.flatnonzero(~np.isnan(values))
-        axes.axhline(0, color=FAINT, linewidth=0.9)
+        axes.axhline(0, color=plots.FAINT, linewidth=0.9)
         if known.size:
             axes.plot(known, values[known], color=colour, marker="o", markersize=3.5, label=label or "_")
             largest = max(least, *np.abs(axes.get_ylim()), 1.15 * np.abs(values[known]).max())
             axes.set_ylim(-largest, largest)
-    legend(axes)
+    plots.legend(axes)
 
 
 def _frames(axes, rows):
-    title(axes, "Corrupt frames of the Teensy's link, in %; x: its port was opened again, or it started anew")
+    plots.title(axes, "Corrupt frames of the Teensy's link, in %; x: its port was opened again, or it started anew")
     ratios = _column(None if row.frames is None else 100 * row.corrupt / max(row.frames + row.corrupt, 1)
                      for row in rows)
-    axes.plot(range(len(rows)), ratios, color=SENT, marker="o", markersize=3.5)
+    axes.plot(range(len(rows)), ratios, color=plots.SENT, marker="o", markersize=3.5)
     again = [index for index, row in enumerate(rows) if (row.reopened or 0) + (row.reboots or 0) > 0]
-    axes.plot(again, ratios[again], color=BAD, marker="x", linestyle="none", markersize=7)
+    axes.plot(again, ratios[again], color=plots.BAD, marker="x", linestyle="none", markersize=7)
     axes.set_ylim(0, max(0.1, 1.2 * float(np.nanmax(ratios))))
 
 

@@ -6,9 +6,13 @@ import re
 
 import pytest
 
-from car_interface.tools.report.drives import CSV_COLUMNS, Row, csv_text, in_order, page
+from car_interface.tools.report.drives import Row, csv_text, in_order, page
 from written_recordings import START_NS
 
+CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
+               "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
+               "map_brake_mps2", "battery_min_v", "frames", "corrupt_frames", "port_reopened", "teensy_reboots",
+               "pings_unanswered", "faults", "errors", "cant_tell", "notes", "error")
 DAY_NS = 86_400_000_000_000
 FULL = Row("a.bag", start_ns=START_NS, duration_s=125.0, distance_m=1234.5, gamepad_s=12.0, planner_s=100.0,
            losses={"planner silent": 2, "e_stop": 1}, straight_per_m=-0.0123, left_ratio=1.25, right_ratio=1.005,

@@ -1,7 +1,7 @@
 """Trends over drives."""
 import pytest
 
-from car_interface.tools.report import drives
+from car_interface.tools.report import drives, plots
 from car_interface.tools.report.drives import Row, page, trends
 from written_recordings import START_NS
 
@@ -16,7 +16,7 @@ BLIND = Row("x.bag", start_ns=0, duration_s=60.0, distance_m=5.0)
 def figure(monkeypatch):
     """The figure of the last call, in place of its SVG."""
     made = []
-    monkeypatch.setattr(drives, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
+    monkeypatch.setattr(plots, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
     return made
 
 
