@@ -9,32 +9,13 @@ from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.steering.monitor import UNCALIBRATED
 from car_interface.throttle.esc import NO_BRAKE
-from car_interface.tools.recordings import calibration_result, roles
+from car_interface.tools.recordings import calibration_result, recording, roles
 from car_interface.tools.recordings.calibration_result import CalibrationResult
 from car_interface.tools.recordings.columns import MAX_NUMBER, VOLTAGE, value_of, vesc_number
-from car_interface.tools.recordings.recording import (
-    Contents,
-    NoRecording,
-    absolute_names,
-    contents,
-    other_version,
-    prefix,
-    read,
-    require,
-)
-from car_interface.tools.recordings.roles import find, other_cars
+from car_interface.tools.report import states
 from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
-from car_interface.tools.report.states import (
-    Drivers,
-    GamepadWatch,
-    LimitsWatch,
-    PlannerWatch,
-    SteeringWatch,
-    TeensyWatch,
-    ThrottleWatch,
-)
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
@@ -75,27 +56,28 @@ class Summary:
         wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
     """
 
-    def __init__(self, path: str, namespace: str, recorded: Contents, present: set, wheelbase_m: float | None):
+    def __init__(self, path: str, namespace: str, recorded: recording.Contents, present: set,
+                 wheelbase_m: float | None):
         self.path, self.namespace = path, namespace
         self.start_ns = recorded.start_ns  # ROS time of the first message
         self.duration_s = (recorded.end_ns - recorded.start_ns) / NS_PER_S
         self.topics, self.present = recorded.topics, present
-        self.steps_back = 0  # how often its clock was set back
         self.notes: list = []  # a line for each topic that was named, guessed or not found, or is odd
         self.calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
         self.traces, self.faults = Traces(self.duration_s), FaultLog(present)
-        self.coverage = Coverage(prefix(namespace), self.duration_s)
+        self.coverage = Coverage(recording.prefix(namespace), self.duration_s)
         found = self.traces, self.faults
-        self.gamepad, self.throttle, self.planner = GamepadWatch(*found), ThrottleWatch(*found), PlannerWatch(*found)
-        self.steering, self.limits = SteeringWatch(*found, self.gamepad), LimitsWatch()
+        self.gamepad, self.limits = states.GamepadWatch(*found), states.LimitsWatch()
+        self.steering = states.SteeringWatch(*found, self.gamepad)
+        self.throttle, self.planner = states.ThrottleWatch(*found), states.PlannerWatch(*found)
         # Where one state wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
         steering, throttle, planner = (watch if f"{watch.node}/state" in present else None
                                        for watch in (self.steering, self.throttle, self.planner))
-        drivers = Drivers(steering or throttle, throttle or steering, planner)
+        drivers = states.Drivers(steering or throttle, throttle or steering, planner)
         self.asked = AskedWatch(self.traces, wheelbase_m, drivers)
         self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
         self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion)
-        self.teensy = TeensyWatch(*found)
+        self.teensy = states.TeensyWatch(*found)
 
     def handlers(self) -> dict:
         """Return functions of time in s and message for each of READS."""
@@ -106,10 +88,10 @@ class Summary:
             found[f"{node}/state"].append(partial(self.limits.on_state, node=node))
         return found
 
-    def finish(self) -> None:
-        """End what lasts, and drop what is no fault of this drive."""
-        if self.steps_back:
-            times = "once" if self.steps_back == 1 else f"{self.steps_back} times"
+    def finish(self, steps_back: int) -> None:
+        """End what lasts, and drop what is no fault of this drive, whose clock was set back so often."""
+        if steps_back:
+            times = "once" if steps_back == 1 else f"{steps_back} times"
             self.faults.add(Fault(0.0, WARN, "recording", f"its time went back {times}: the clock was set"))
         for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
             watch.finish()
@@ -170,37 +152,37 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     Raises:
         NoRecording: it can't be read, or has nothing for a report.
     """
-    has = contents(path)
+    has = recording.contents(path)
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
-        require(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
-    found = {role: find(has.topics, role, namespace, given) for role in ROLES}
+        recording.require(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+    found = {role: roles.find(has.topics, role, namespace, given) for role in ROLES}
     keys = {**{one.topic: role.topics[0] for role, one in found.items()
                if role.name in given or (one.fits if role in MAY_BE_OTHERS else one.is_there)},
             **{topic: topic for topic in (*TOPICS, *RANGES)}}
     types = {topic: READS[name][0] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
-    names = absolute_names(with_messages, types, namespace)
-    below = prefix(namespace)  # an absolute name may be another car's
+    names = recording.absolute_names(with_messages, types, namespace)
+    below = recording.prefix(namespace)  # an absolute name may be another car's
     if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
         odom = found[roles.ODOM]
-        raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
-                          + _elsewhere(with_messages, namespace, odom.note))
+        raise recording.NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
+                                    + _elsewhere(with_messages, namespace, odom.note))
     summary = Summary(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
     summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
     summary.notes += [one.note for one in found.values() if one.note]
-    handlers, before_ns = summary.handlers(), 0
-    for recorded in read(path, types, namespace, progress):
+    handlers, before_ns, steps_back = summary.handlers(), 0, 0
+    for recorded in recording.read(path, types, namespace, progress):
         key, time_s = keys[recorded.topic], (recorded.time_ns - summary.start_ns) / NS_PER_S
-        summary.steps_back += before_ns - recorded.time_ns > NS_PER_S
+        steps_back += before_ns - recorded.time_ns > NS_PER_S
         before_ns = recorded.time_ns
         try:
             summary.coverage.update(time_s, key, recorded.message)
             for handler in handlers[key]:
                 handler(time_s, recorded.message)
         except AttributeError as error:
-            raise other_version(path, recorded) from error
-    summary.finish()
+            raise recording.other_version(path, recorded) from error
+    summary.finish(steps_back)
     summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic),
                                    summary.imu.gravity.note(found[roles.IMU].topic)])
     return summary
@@ -208,7 +190,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
 
 def _elsewhere(topics, namespace, note):
     """Return a hint at where there is what is missing, or the note on odometry."""
-    spaces = other_cars(topics, namespace)
+    spaces = roles.other_cars(topics, namespace)
     place = f" below {namespace}" if namespace.strip("/") else ""
     if spaces:
         return f"{place}: try " + " or ".join(f"--ns {space}" for space in sorted(spaces))
