@@ -14,7 +14,7 @@ from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
+from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, OK, WARN, Fault, FaultLog
 
 DRIVERS = (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER)
 UNKNOWN_DRIVER = -1
@@ -59,16 +59,12 @@ class Episode(NamedTuple):
         """Return whether the state that begins a later episode is this one's, whatever its reason."""
         return (self.node, self.cause, *self[5:]) == (later.node, later.cause, *later[5:])
 
-    def fault(self, level: int) -> Fault:
-        """Return it as a fault."""
-        return Fault(self.start_s, level, self.node, self.reason, self.end_s)
-
 
 class Episodes:
     """Follows one node's state as episodes.
 
-    A watch of a state overrides ``_judge``, which takes each episode that has ended, adds its fault if it is one, and
-    returns the episode as it is kept.
+    A watch of a state has ``_judge``, which takes each episode that has ended, and returns it as it is kept, and its
+    level as a fault; OK = it is none.
     """
 
     node = ""  # whose state it is
@@ -99,14 +95,14 @@ class Episodes:
     def _end(self, time_s):
         if self._current is None:
             return
-        ended, self._current = self._judge(self._current._replace(end_s=time_s)), None
+        ended, level = self._judge(self._current._replace(end_s=time_s))
+        self._current = None
+        if level != OK:
+            self._faults.add(Fault(ended.start_s, level, self.node, ended.reason, ended.end_s))
         if len(self.episodes) < MAX_ENTRIES:
             self.episodes.append(ended)
         else:
             self.dropped += 1
-
-    def _judge(self, ended: Episode) -> Episode:
-        return ended
 
 
 class GamepadWatch(Episodes):
@@ -116,7 +112,7 @@ class GamepadWatch(Episodes):
 
     def __init__(self, traces: Traces, faults: FaultLog):
         super().__init__(traces, faults)
-        self._unused_axis: Episode | None = None  # while an axis wasn't seen at its rest
+        self._unused_axis: Fault | None = None  # while an axis wasn't seen at its rest
         self._releases: list[Episode] = []  # what ended each time of a held deadman, a loss or not; up to MAX_ENTRIES
         self._was_held = False
 
@@ -129,7 +125,7 @@ class GamepadWatch(Episodes):
         if causes.NOT_AT_REST not in (message.steering_stick, message.throttle_stick):
             self._end_unused_axis(time_s)
         elif self._unused_axis is None:
-            self._unused_axis = Episode(time_s, math.inf, self.node, causes.NOT_AT_REST, message.reason)
+            self._unused_axis = Fault(time_s, WARN, self.node, message.reason)
 
     def loss_at(self, time_s: float) -> Episode | None:
         """Return the loss for which the deadman was false from a time on; ``None`` = none, or it was let go."""
@@ -147,14 +143,13 @@ class GamepadWatch(Episodes):
 
     def _end_unused_axis(self, time_s):
         if self._unused_axis is not None:
-            self._faults.add(self._unused_axis._replace(end_s=time_s).fault(WARN))
+            self._faults.add(self._unused_axis._replace(end_s=time_s))
         self._unused_axis = None
 
     def _judge(self, ended):
         never = ended.cause == causes.JOY_NEVER_RECEIVED and ended.end_s - ended.start_s >= NEVER_AFTER_S
-        if ended.cause in causes.LOSSES or never:
-            self._faults.add(ended.fault(ERROR if ended.cause in causes.JOY_UNUSABLE else WARN))
-        return ended
+        return ended, (ERROR if ended.cause in causes.JOY_UNUSABLE else
+                       WARN if ended.cause in causes.LOSSES or never else OK)
 
 
 class SteeringWatch(Episodes):
@@ -212,9 +207,7 @@ class SteeringWatch(Episodes):
             ended = ended._replace(cause=loss.cause, reason=f"human_in_loop is false: {loss.reason}")
         self.source_s[ended.source] += ended.end_s - ended.start_s
         is_loss = ended.source in (NO_HUMAN, NEUTRAL) and ended.cause in causes.LOSSES and loss is None
-        if ended.source == LOCKED or is_loss:
-            self._faults.add(ended.fault(ERROR if ended.source == LOCKED else WARN))
-        return ended
+        return ended, ERROR if ended.source == LOCKED else WARN if is_loss else OK
 
 
 class ThrottleWatch(Episodes):
@@ -240,9 +233,7 @@ class ThrottleWatch(Episodes):
         return [episode for episode in self.episodes if _is_loss(episode)]
 
     def _judge(self, ended):
-        if _is_loss(ended):
-            self._faults.add(ended.fault(ERROR if ended.esc_cause == causes.ESC_MOTION else WARN))
-        return ended
+        return ended, ERROR if ended.esc_cause == causes.ESC_MOTION else WARN if _is_loss(ended) else OK
 
 
 def _is_loss(episode):
@@ -271,9 +262,7 @@ class PlannerWatch(Episodes):
         return self.source if is_fresh(self._obeyed_s, time_s) else ""
 
     def _judge(self, ended):
-        if ended.cause in PLANNER_FAULTS:
-            self._faults.add(ended.fault(WARN))
-        return ended
+        return ended, WARN if ended.cause in PLANNER_FAULTS else OK
 
 
 class Drivers(NamedTuple):
