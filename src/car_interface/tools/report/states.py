@@ -129,9 +129,8 @@ class GamepadWatch(Episodes):
 
     def loss_at(self, time_s: float) -> Episode | None:
         """Return the loss for which the deadman was false from a time on; ``None`` = none, or it was let go."""
-        near = [release for release in self._releases if abs(release.start_s - time_s) <= APART_S]
-        if near:
-            release = min(near, key=lambda release: abs(release.start_s - time_s))
+        release = min(self._releases, key=lambda release: abs(release.start_s - time_s), default=None)
+        if release is not None and abs(release.start_s - time_s) <= APART_S:
             return release if release.cause in causes.LOSSES else None
         return next((one for one in (*self.episodes, *filter(None, [self._current]))
                      if one.cause in causes.LOSSES and one.start_s <= time_s <= one.end_s), None)
@@ -314,17 +313,15 @@ class TeensyWatch:
 
     def on_link(self, time_s: float, message: Any) -> None:
         """Take a car_interface/LinkStatus."""
+        if self.link is None:
+            self.first_link, self.link, self._link_s = message, message, time_s
         before, span_s = self.link, time_s - self._link_s
-        if before is None:
-            self.first_link = message
-        else:
-            if span_s > MIN_SPAN_S:
-                self._traces["frames"].add(time_s, (message.frames - before.frames) / span_s)
-                self._traces["bad frames"].add(time_s, (message.bad_frames - before.bad_frames) / span_s)
-            for name, what in (("reconnects", "the port was opened again"), ("reboots", "the Teensy started anew")):
-                if getattr(message, name) > getattr(before, name):
-                    self._faults.add(Fault(time_s, WARN, "Teensy", what))
-        if before is None or span_s > MIN_SPAN_S:
+        for name, what in (("reconnects", "the port was opened again"), ("reboots", "the Teensy started anew")):
+            if getattr(message, name) > getattr(before, name):
+                self._faults.add(Fault(time_s, WARN, "Teensy", what))
+        if span_s > MIN_SPAN_S:
+            self._traces["frames"].add(time_s, (message.frames - before.frames) / span_s)
+            self._traces["bad frames"].add(time_s, (message.bad_frames - before.bad_frames) / span_s)
             self.link, self._link_s = message, time_s
         what = ". ".join(filter(None, (message.words, message.next_step)))
         self._faults.update_condition(time_s, "link", message.level, "Teensy", f"{message.state}: {what}")
