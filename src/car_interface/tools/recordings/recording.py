@@ -381,14 +381,11 @@ def decoder(connection, is_ros2: bool) -> Callable[[bytes], Any]:
 def known_types() -> Any:
     """Return the types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
     store = get_typestore(Stores.ROS2_HUMBLE)
+    ours = {path.stem: path.read_text(encoding="utf-8") for path in sorted(package_file("msg").glob("*.msg"))}
+    texts = {**{f"{PACKAGE}/msg/{name}": text for name, text in ours.items()}, **OTHERS,
+             **{f"{package}/msg/{name}": ours[name] for package, names in EQUIVALENTS.items() for name in names}}
     types: dict = {}
-    for path in sorted(package_file("msg").glob("*.msg")):
-        text = path.read_text(encoding="utf-8")
-        types.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
-        for package, names in EQUIVALENTS.items():
-            if path.stem in names:
-                types.update(get_types_from_msg(text, f"{package}/msg/{path.stem}"))
-    for name, text in OTHERS.items():
+    for name, text in texts.items():
         types.update(get_types_from_msg(text, name))
     store.register(types)
     return store

@@ -11,34 +11,18 @@ from typing import Collection, NamedTuple
 import numpy as np
 
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.recordings import recording, roles
-from car_interface.tools.recordings.columns import (
-    AckermannColumn,
-    CommandColumn,
-    Imu,
-    ImuColumn,
-    Odom,
-    OdomColumn,
-    Output,
-    OutputColumn,
-    Pulses,
-    Timeline,
-    Value,
-    ValueColumn,
-)
+from car_interface.tools.recordings import columns, recording, roles
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
     roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN, roles.SERVO)), PULSES)
-KINDS = {role.name: (role, kind) for role, kind in (
-    (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn),
-    (roles.SERVO, ValueColumn))}
+KINDS = {roles.ODOM: columns.OdomColumn, roles.IMU: columns.ImuColumn, roles.VALUE: columns.ValueColumn,
+         roles.ACKERMANN: columns.AckermannColumn, roles.SERVO: columns.ValueColumn}
+BOARD = {roles.OUTPUT: columns.OutputColumn, roles.COMMAND: columns.CommandColumn}
+TYPES = {PULSES: "car_interface/Wheel", **{role.name: role.types for role in (*KINDS, roles.OUTPUT)}}
 HINT = "; name another by --map TOPIC="
-BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
-TYPES = {roles.OUTPUT.name: roles.DUTY_TYPES, PULSES: "car_interface/Wheel",
-         **{part: role.types for part, (role, _) in KINDS.items()}}
 
 
 class Signals(NamedTuple):
@@ -47,13 +31,13 @@ class Signals(NamedTuple):
     path: str
     start_s: float  # ROS time at which all ``t_s`` begin
     duration_s: float  # from the first message to the last
-    odom: Odom | None
-    output: Output | None
-    imu: Imu | None
-    value: Value | None
-    ackermann: Value | None  # steering angles in rad that a planner asks for
-    servo: Value | None  # positions of a VESC's, 0 to 1
-    pulses: tuple[Pulses, Pulses] | None  # of the left and the right wheel
+    odom: columns.Odom | None
+    output: columns.Output | None
+    imu: columns.Imu | None
+    value: columns.Value | None
+    ackermann: columns.Value | None  # steering angles in rad that a planner asks for
+    servo: columns.Value | None  # positions of a VESC's, 0 to 1
+    pulses: tuple[columns.Pulses, columns.Pulses] | None  # of the left and the right wheel
     topics: dict[str, str]  # of each part that is there, by the part
     notes: tuple[str, ...]  # what was guessed and what was left out, a line each that names the topic
 
@@ -81,24 +65,24 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
     """
-    columns, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
-    by_topic, types = ({column.topic: what[part] for part, column in columns.items()} for what in (columns, TYPES))
-    if PULSES in columns:
-        by_topic[CLOCK_TOPIC], types[CLOCK_TOPIC] = columns[PULSES], "car_interface/TeensyClock"
-    timeline = Timeline()
+    parts, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
+    by_topic, types = ({column.topic: what[part] for part, column in parts.items()} for what in (parts, TYPES))
+    if PULSES in parts:
+        by_topic[CLOCK_TOPIC], types[CLOCK_TOPIC] = parts[PULSES], "car_interface/TeensyClock"
+    timeline = columns.Timeline()
     for recorded in recording.read(path, types, namespace, progress):
         try:
             by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
         except AttributeError as error:
             raise recording.other_version(path, recorded) from error
-    built = {part: column.build() for part, column in columns.items()}
+    built = {part: column.build() for part, column in parts.items()}
     for part, (series, _) in built.items():
         if series is None and (part in wanted or topics.get(part)):
-            raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
+            raise NoRecording(f"{path}: nothing that can be used was recorded of {parts[part].topic}")
     notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes)
     return Signals(str(path), (timeline.start_ns or 0) / NS_PER_S, timeline.last_s, *(
         built.get(part, (None,))[0] for part in PARTS),
-        {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
+        {part: parts[part].topic for part, (series, _) in built.items() if series is not None}, notes)
 
 
 def trail(signals: Signals) -> Trail:
@@ -111,15 +95,16 @@ def trail(signals: Signals) -> Trail:
 def _columns(path, wanted, optional, topics, namespace):
     """Return an empty column for each part that will be read, and what was guessed."""
     recorded = recording.contents(path).topics
-    columns, guesses = {}, []
-    for part, (role, kind) in KINDS.items():
+    parts, guesses = {}, []
+    for role, kind in KINDS.items():
+        part = role.name
         if part not in wanted | optional and (part != roles.IMU.name or not topics.get(part)):
             continue
         topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
         if fits or is_needed and is_there:
-            columns[part] = kind(topic)
+            parts[part] = kind(topic)
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
@@ -127,18 +112,18 @@ def _columns(path, wanted, optional, topics, namespace):
             recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}",
                               HINT + part if is_usual else "")
     if roles.OUTPUT.name in wanted | optional:
-        columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
+        parts.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
     if PULSES in wanted:
         recording.require(path, [WHEEL_TOPIC], namespace)
     if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
-        columns[PULSES] = PulseColumns(WHEEL_TOPIC)
-    return columns, guesses
+        parts[PULSES] = PulseColumns(WHEEL_TOPIC)
+    return parts, guesses
 
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
     """Return the board's outputs; without them its commands, which lack channels that were set before the recording."""
-    named = [(kind, topics[role.name]) for role, kind in BOARD if topics.get(role.name)]
-    offered = named or [(kind, topic) for role, kind in BOARD for topic in role.topics]
+    named = [(kind, topics[role.name]) for role, kind in BOARD.items() if topics.get(role.name)]
+    offered = named or [(kind, topic) for role, kind in BOARD.items() for topic in role.topics]
     for kind, topic in offered:  # one with messages goes before one that was only advertised
         if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
             return {roles.OUTPUT.name: kind(topic)}

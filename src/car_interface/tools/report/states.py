@@ -309,7 +309,7 @@ class TeensyWatch:
         self.counters: dict = {}  # (first, last) value by name
         self.pongs = self.pongs_unused = 0  # how many, and how many of them were not used for the clock
         self._link_s = 0.0
-        self._monotonic_offset_ns = None
+        self._monotonic_offset_ns = math.nan  # of ROS time, at the newest pong; NaN = there was none
 
     def on_link(self, time_s: float, message: Any) -> None:
         """Take a car_interface/LinkStatus."""
@@ -336,8 +336,8 @@ class TeensyWatch:
         if message.converged:
             self._traces["skew"].add(time_s, message.skew)
             self._traces["uncertainty"].add(time_s, message.uncertainty * 1e3)
-        offset_ns, before_ns = stamp_ns(message.stamp) - message.received, self._monotonic_offset_ns
-        step_s = 0.0 if before_ns is None else (offset_ns - before_ns) / NS_PER_S
+        offset_ns = stamp_ns(message.stamp) - message.received
+        step_s = (offset_ns - self._monotonic_offset_ns) / NS_PER_S
         if abs(step_s) > CLOCK_SET_S:
             self._faults.add(Fault(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s"))
         self._monotonic_offset_ns = offset_ns
