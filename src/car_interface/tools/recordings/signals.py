@@ -52,13 +52,12 @@ class Trail(NamedTuple):
 
 
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
-         progress: bool = False, **topics: str | None) -> Signals:
-    """Read a recording.
+         **topics: str | None) -> Signals:
+    """Read a recording; a terminal shows a bar meanwhile.
 
     Args:
         wanted: those of ``PARTS`` that the recording must have.
         optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
-        progress: show a bar.
         topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``servo``, ``output``,
             ``command``. ``None``, or one that isn't named: its usual topic, or the only one of its type.
 
@@ -70,7 +69,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     if PULSES in parts:
         by_topic[CLOCK_TOPIC], types[CLOCK_TOPIC] = parts[PULSES], "car_interface/TeensyClock"
     timeline = columns.Timeline()
-    for recorded in recording.read(path, types, namespace, progress):
+    for recorded in recording.read(path, types, namespace, progress=True):
         try:
             by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
         except AttributeError as error:

@@ -87,7 +87,7 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
     recording.require(path, {topics.get(roles.OUTPUT.name, roles.OUTPUT.topics[0]): roles.DUTY_TYPES}, namespace,
                       "which says what the ESC got", f"; name another by --map TOPIC={roles.OUTPUT.name}")
     found = signals.load(path, (roles.ODOM.name, roles.OUTPUT.name), optional=(signals.PULSES,), namespace=namespace,
-                         progress=True, **topics)
+                         **topics)
     neutral, notes = _drive_s_neutral(path, namespace, calibration)
     reverse, *_, forward = trimmed(calibration, neutral).duty_table
     if neutral in (forward, reverse):

@@ -40,7 +40,7 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
         CarInterfaceError: the channel never had a pulse.
     """
     optional = [roles.OUTPUT.name, roles.SERVO.name, roles.ACKERMANN.name, *([roles.IMU.name] if use_imu else [])]
-    found = signals.load(path, (roles.ODOM.name,), optional=optional, namespace=namespace, progress=True,
+    found = signals.load(path, (roles.ODOM.name,), optional=optional, namespace=namespace,
                          **{role: topic for role, topic in (topics or {}).items() if use_imu or role != roles.IMU.name})
     odom, notes = found.odom, [note for note in found.notes
                                if found.output is None and found.servo is None or not _is_on_angles(note)]

@@ -114,7 +114,7 @@ def load_map_drive(path: str, config: MapConfig) -> RecordedDrive:
               *[signals.PULSES] * (config.measured_by == BY_PULSES)]
     optional = [*[signals.PULSES] * (config.measured_by is None),
                 *[roles.OUTPUT.name] * (config.esc_channel is not None)]
-    found = signals.load(path, wanted, optional=optional, namespace=config.namespace, progress=True, **config.topics)
+    found = signals.load(path, wanted, optional=optional, namespace=config.namespace, **config.topics)
     speed, notes, driven = Series(found.odom.t_s, found.odom.speed_mps), found.notes, None
     wheels = wheel_distances(found.pulses or (), speed)
     if len(wheels) < 2:
