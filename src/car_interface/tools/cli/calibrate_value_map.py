@@ -18,14 +18,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.shared import RecordedDrive, names_of
-from car_interface.tools.calibration.value_map.calibrate import (
-    MapResult,
-    calibrate,
-    coverage_text,
-    csv_text,
-    narrower_text,
-    report,
-)
+from car_interface.tools.calibration.value_map import calibrate
 from car_interface.tools.calibration.value_map.recorded import (
     BY_IMU,
     BY_ODOM,
@@ -125,25 +118,25 @@ def run(options: argparse.Namespace) -> int:
     config = config_of(options)
     recorded, found = calibrate_by(options, config)
     if found.table is None:
-        print(coverage_text(found.fit, None))
+        print(calibrate.coverage_text(found.fit, None))
         raise CarInterfaceError(f"no map is written: {names_of(recorded)} support no two values at the same two "
                                 "velocities; drive longer, with throttle and brake of several strengths")
-    text = report(recorded, config, found, options.prior)
+    text = calibrate.report(recorded, config, found, options.prior)
     if found.problems and not options.force:
         print(text)
         raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
                                 + ". Drive what is missing, or --force it")
-    csv = csv_text(found.table)
+    csv = calibrate.csv_text(found.table)
     load_value_map(options.output, text=csv)
     old = _old_map(options.output)
     kept = {path: output.write(path, content, keeps_old=True)
             for path, content in zip((options.output, *beside), (csv, text + "\n"))}
-    narrower = None if old is None else narrower_text(found.table, old, kept[options.output])
+    narrower = None if old is None else calibrate.narrower_text(found.table, old, kept[options.output])
     print("\n".join([text, *(output.written_text(*pair) for pair in kept.items()), *filter(None, [narrower])]))
     return 0
 
 
-def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[RecordedDrive], MapResult]:
+def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[RecordedDrive], calibrate.MapResult]:
     """Read all recordings and fit a map to them, on the axes that are given, or else on those of --prior.
 
     Raises:
@@ -156,7 +149,7 @@ def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[R
         if axis is not None:
             check_axis(axis, name)
     recorded = load_all(partial(load_map_drive, config=config), options.bags, options.jobs)
-    return recorded, calibrate(recorded, *axes, config, prior)
+    return recorded, calibrate.calibrate(recorded, *axes, config, prior)
 
 
 def _old_map(path):
