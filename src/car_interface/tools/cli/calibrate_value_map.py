@@ -143,11 +143,11 @@ def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[R
         CarInterfaceError: an axis, a recording or the prior is no good, or there is nothing to fit.
     """
     prior = load_value_map(options.prior) if options.prior else None
-    axes = [given or (prior and getattr(prior, name)) for name, given in (
-        ("values", options.values), ("velocities", options.velocities))]
-    for name, axis in zip(("--values", "--velocities"), axes):
+    names = "values", "velocities"
+    axes = [getattr(options, name) or prior and getattr(prior, name) for name in names]
+    for name, axis in zip(names, axes):
         if axis is not None:
-            check_axis(axis, name)
+            check_axis(axis, f"--{name}")
     recorded = load_all(partial(load_map_drive, config=config), options.bags, options.jobs)
     return recorded, calibrate.calibrate(recorded, *axes, config, prior)
 

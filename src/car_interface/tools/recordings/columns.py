@@ -157,8 +157,8 @@ class StampedColumn:
         is_odd = np.abs(at_s - recorded_s) > MAX_STAMP_OFFSET_S
         at_s = np.where(is_odd, recorded_s, at_s)
         rises = at_s > np.maximum.accumulate(np.r_[-np.inf, at_s])[:-1]
-        notes = [*_left_out(self.topic, len(rows) - is_number.sum(), NOT_FINITE),
-                 *_left_out(self.topic, is_odd.sum(), ODD_STAMP), *_left_out(self.topic, (~rises).sum(), STAMP_BACK)]
+        notes = _odd_messages(self.topic, {
+            NOT_FINITE: len(rows) - is_number.sum(), ODD_STAMP: is_odd.sum(), STAMP_BACK: (~rises).sum()})
         if not rises.any():
             return None, notes
         series, odd = self.series(at_s[rises], *(column[rises] for column in columns))
@@ -225,19 +225,19 @@ class OutputColumn:
         self.topic = topic
         self._times, self._duties = array("d"), array("i")
         self._newest: list = []
-        self._wrong_length = self._back = 0
+        self._left_out = {WRONG_LENGTH: 0, STAMP_BACK: 0}
 
     def add(self, recorded: Any, now_s: float, timeline: Timeline) -> None:
         """Add a ``recording.Recorded`` that was recorded at ``now_s``."""
         duties, last_s = [int(duty) for duty in recorded.message.data], self._times[-1] if self._times else -math.inf
         if len(duties) != CHANNELS:
-            self._wrong_length += 1
+            self._left_out[WRONG_LENGTH] += 1
             return
         duties = self._resolved(duties)
         if duties == self._newest and now_s < last_s + REPEATED_S:
             return
         if now_s < last_s:
-            self._back += 1
+            self._left_out[STAMP_BACK] += 1
             return
         self._newest = duties
         self._times.append(now_s)
@@ -245,12 +245,8 @@ class OutputColumn:
 
     def build(self) -> tuple[Output | None, list[str]]:
         """Return the columns, and lines on what is left out."""
-        notes = [*_left_out(self.topic, self._wrong_length, WRONG_LENGTH),
-                 *_left_out(self.topic, self._back, STAMP_BACK)]
-        if not self._times:
-            return None, notes
-        return Output(np.frombuffer(self._times),
-                      np.frombuffer(self._duties, np.intc).reshape(-1, CHANNELS)), notes
+        output = Output(np.array(self._times), np.array(self._duties).reshape(-1, CHANNELS)) if self._times else None
+        return output, _odd_messages(self.topic, self._left_out)
 
     def _resolved(self, duties):
         return duties
@@ -265,8 +261,9 @@ class CommandColumn(OutputColumn):
                 for duty, held in zip(duties, before)]
 
 
-def _left_out(topic, count, reason):
-    return [f"{topic}: {count} message{'s' if count > 1 else ''} {reason}"] if count else []
+def _odd_messages(topic, counts):
+    """Return a line for each reason of which there are messages."""
+    return [f"{topic}: {count} message{'s' if count > 1 else ''} {reason}" for reason, count in counts.items() if count]
 
 
 def has_twist(message) -> bool:
