@@ -85,12 +85,10 @@ def version() -> str:
 def _parser(command, arguments):
     """Return the parser for one command; without a name for all of them."""
     if command is not None:
-        parser = argparse.ArgumentParser(prog=command)
-        return _describe(parser, command)
+        return _describe(argparse.ArgumentParser(prog=command), command)
     parser = argparse.ArgumentParser(prog=PROGRAM, description="Tables and reports from recordings of a car's drives.")
     _add_version(parser)
-    commands = parser.add_subparsers(metavar="COMMAND", dest="command")
-    commands.required = True
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True)
     named = next((argument for argument in arguments if argument in MODULES), None)
     for name in [named] if named else MODULES:
         _describe(commands.add_parser(name, help=importlib.import_module(MODULES[name]).__doc__.split("\n")[0]), name)

@@ -18,7 +18,7 @@ class SideRow(NamedTuple):
     radius_error: float  # as a ratio of the radius
     segments: int  # that were driven about as tight
     distance_m: float  # in these
-    source: str  # driven, end or old
+    source: str  # driven, end or old: nothing was driven there
 
 
 class CalibrationResult(NamedTuple):

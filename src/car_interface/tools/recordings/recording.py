@@ -17,6 +17,7 @@ from collections import Counter
 from contextlib import contextmanager
 from functools import lru_cache
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
@@ -102,8 +103,8 @@ def contents(path: str) -> Contents:
     with _opened(path) as reader:
         found: dict = {}
         for connection in reader.connections:
-            count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
-            found[connection.topic] = Topic(connection.msgtype, count)
+            before = found[connection.topic].count if connection.topic in found else 0
+            found[connection.topic] = Topic(connection.msgtype, before + connection.msgcount)
         begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
         return Contents(begin, end, dict(sorted(found.items())))
 
@@ -328,7 +329,7 @@ class ChunkReader(Reader):
         """
         wanted = {connection.id: connection for connection in connections or self.connections}
         chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
-        number, pending = 0, []  # chunks may overlap: pending messages go out before a chunk that begins later
+        numbers, pending = count(), []  # chunks may overlap: pending messages go out before a chunk that begins later
         chunks.sort(key=lambda info: (0 if self.steps_back else info.start_time, info.pos))
         for info in [*chunks, None]:
             while pending and (info is None or pending[0][0] < info.start_time):
@@ -336,8 +337,7 @@ class ChunkReader(Reader):
                 yield wanted[connection], time_ns, data
             for connection, time_ns, data in self._chunk(info.pos, wanted) if info is not None else ():
                 order = -1 if self.steps_back else time_ns  # -1: before the next chunk, as they were written
-                heapq.heappush(pending, (order, number, connection, time_ns, data))
-                number += 1
+                heapq.heappush(pending, (order, next(numbers), connection, time_ns, data))
 
     def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:
         chunk = self.chunks[position]

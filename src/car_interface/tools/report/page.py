@@ -14,7 +14,6 @@ from car_interface.tools.report.summary import RANGES, Summary
 TOPICS = ("turn_arb/state", "throttle_arb/state", "/servo/output", "odom", "av_turnrad_req",
           "/teleop_logi/tele_steer_req", "control/command/control_cmd", "generic/output/value",
           "teensy_sensor_hub/link", "teensy_clock")
-OLD = "old"  # of a calibration's breakpoint: nothing was driven there
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
 
@@ -30,7 +29,7 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN,
         absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
         has_sonars=has_sonars, left_out=_left_out(drive, plots),
-        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, old=OLD,
+        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 
 

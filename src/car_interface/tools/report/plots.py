@@ -380,19 +380,16 @@ def _panel(height_in, text, *curves, right=(), limits=None, right_limits=None):
     def draw(axes):
         title(axes, text)
         beside, more = (axes.twinx(), " (right scale)") if left and right else (axes, "")
-        for trace, colour, label, style in left:
-            curve(axes, trace, colour, label, **style)
-        for trace, colour, label, style in right:
-            curve(beside, trace, colour, label + more, **style)
+        for place, shown, ends, says in ((axes, left, limits, ""), (beside, right, right_limits, more)):
+            for trace, colour, label, style in shown:
+                curve(place, trace, colour, label + says, **style)
+            if shown and ends:
+                place.set_ylim(ends)
         if left and right:
             beside.grid(False)
             axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
         else:
             legend(axes)
-        if left and limits:
-            axes.set_ylim(limits)
-        if right and right_limits:
-            beside.set_ylim(right_limits)
     return height_in, draw
 
 
