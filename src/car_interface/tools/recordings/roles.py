@@ -69,16 +69,15 @@ class Found(NamedTuple):
 
 
 def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/",
-         given: Mapping[str, str | None] = MappingProxyType({})) -> Found:
+         given: Mapping[str, str] = MappingProxyType({})) -> Found:
     """Find the topic for a role.
 
     Args:
-        given: topics by the roles that the user gave them to; ``None`` = none. They play no other role, and one for
-            this role goes before everything else.
+        given: topics by the roles that the user gave them to. They play no other role, and one for this role goes
+            before everything else.
     """
     named = given.get(role.name)
-    others = [topic for name, topic in given.items() if topic is not None and name != role.name]
-    taken = absolute_names(recorded, others, namespace)
+    taken = absolute_names(recorded, [topic for name, topic in given.items() if name != role.name], namespace)
     free = {name: topic for name, topic in recorded.items() if name not in taken}
     topic, note = (named, "") if named not in (None, role.topics[0]) else _usual_or_guessed(
         free, role, namespace, role.topics if named else (*role.preferred, *role.topics))

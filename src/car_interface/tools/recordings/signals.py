@@ -52,14 +52,14 @@ class Trail(NamedTuple):
 
 
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
-         **topics: str | None) -> Signals:
+         **topics: str) -> Signals:
     """Read a recording; a terminal shows a bar meanwhile.
 
     Args:
         wanted: those of ``PARTS`` that the recording must have.
         optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
         topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``servo``, ``output``,
-            ``command``. ``None``, or one that isn't named: its usual topic, or the only one of its type.
+            ``command``. One that isn't named: its usual topic, or the only one of its type.
 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
@@ -76,7 +76,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             raise recording.other_version(path, recorded) from error
     built = {part: column.build() for part, column in parts.items()}
     for part, (series, _) in built.items():
-        if series is None and (part in wanted or topics.get(part)):
+        if series is None and part in {*wanted, *topics}:
             raise NoRecording(f"{path}: nothing that can be used was recorded of {parts[part].topic}")
     notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes)
     return Signals(str(path), (timeline.start_ns or 0) / NS_PER_S, timeline.last_s, *(
@@ -97,11 +97,11 @@ def _columns(path, wanted, optional, topics, namespace):
     parts, guesses = {}, []
     for role, kind in KINDS.items():
         part = role.name
-        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(part)):
+        if part not in wanted | optional and (part != roles.IMU.name or part not in topics):
             continue
         topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
-        is_needed = part in wanted or topics.get(part) is not None
+        is_needed = part in {*wanted, *topics}
         if fits or is_needed and is_there:
             parts[part] = kind(topic)
         elif is_needed and note:
@@ -121,7 +121,7 @@ def _columns(path, wanted, optional, topics, namespace):
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
     """Return the board's outputs; without them its commands, which lack channels that were set before the recording."""
-    named = [(kind, topics[role.name]) for role, kind in BOARD.items() if topics.get(role.name)]
+    named = [(kind, topics[role.name]) for role, kind in BOARD.items() if role.name in topics]
     offered = named or [(kind, topic) for role, kind in BOARD.items() for topic in role.topics]
     for kind, topic in offered:  # one with messages goes before one that was only advertised
         if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):

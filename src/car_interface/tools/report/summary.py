@@ -141,19 +141,18 @@ class Summary:
 
 
 def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None, progress: bool = False,
-              **topics: str | None) -> Summary:
+              **given: str) -> Summary:
     """Summarize a recording.
 
     Args:
         wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
         progress: show a bar on a terminal.
-        topics: named by the user, by the names of ROLES; ``None`` = not named.
+        given: topics that the user named, by the names of ROLES.
 
     Raises:
         NoRecording: it can't be read, or has nothing for a report.
     """
     has = recording.contents(path)
-    given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
         recording.require(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
     found = {role: roles.find(has.topics, role, namespace, given) for role in ROLES}

@@ -27,9 +27,10 @@ def found(*arguments, **options):
     return find(*arguments, **options)[:2]
 
 
-@pytest.mark.parametrize("given, expected", [(None, "odom"), ("odom", "odom"), ("/missing", "/missing")])
+@pytest.mark.parametrize("given, expected", [
+    ({}, "odom"), ({"odom": "odom"}, "odom"), ({"odom": "/missing"}, "/missing")])
 def test_usual_name_goes_before_any_other_topic_of_the_type_unless_the_user_names_one(given, expected):
-    assert found(recorded("/ekf/odom", "/odom"), ODOM, given={"odom": given}) == (expected, "")
+    assert found(recorded("/ekf/odom", "/odom"), ODOM, given=given) == (expected, "")
 
 
 def test_only_topic_of_the_type_is_guessed_and_said_and_of_two_none_and_both_are_named():
@@ -59,7 +60,7 @@ def test_what_the_speed_control_sends_to_the_value_map_goes_before_what_autoware
 
 def test_topic_that_the_user_gave_to_another_role_is_not_free():
     topics = recorded("/odom", "/car/ekf")
-    assert find(topics, ODOM, given={"imu": "/odom", "value": None}).topic == "/car/ekf"
+    assert find(topics, ODOM, given={"imu": "/odom"}).topic == "/car/ekf"
     assert find(topics, ODOM, given={"odom": "/odom"}).is_there
     assert not find(topics, ODOM, "/car", {"imu": "ekf"}).is_there
     assert find(topics, ODOM, "/car").is_there and find(topics, ODOM).fits and not find(topics, IMU).is_there
