@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 import matplotlib
 import numpy as np
 from matplotlib import cm, font_manager
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -250,7 +248,6 @@ def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
     """Return a picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, 4.2), constrained_layout=True)
-        FigureCanvasAgg(figure)
         figure.suptitle(label_text(Path(name).name), x=0.01, ha="left", fontsize=11, fontweight="bold")
         (_draw_calibration if isinstance(table, SteeringCalibration) else _draw_map)(figure, table)
         file = io.BytesIO()
@@ -432,7 +429,6 @@ def legend(axes):
 
 def svg_text(figure, name, description):
     """Return the text of an SVG whose ids are unique in a page."""
-    FigureCanvasSVG(figure)
     file = io.StringIO()
     figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
