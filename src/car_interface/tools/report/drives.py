@@ -75,19 +75,15 @@ def row(drive: Summary, path: str) -> Row:
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
     source_s = drive.steering.source_s
     turns, accelerating = drive.motion.by_tables, drive.motion.accelerating
-    left, right, straight = map(_median, (turns.left, turns.right, turns.straight_per_m))
     lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
-    faults, notes = drive.faults, list(drive.notes)
+    faults = drive.faults
     can_tell = faults.entries or not drive.coverage.is_blind  # whether anything was recorded that reports a fault
-    if drive.calibration is not None:  # it drove by the table before
-        left = right = straight = None
-        notes.append("a calibration drive")
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=drive.motion.distance_m if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=dict(Counter(one.why for one in lost)) if has_state or drive.throttle.episodes else None,
-        straight_per_m=straight, left_ratio=left, right_ratio=right,
+        straight_per_m=_median(turns.straight_per_m), left_ratio=_median(turns.left), right_ratio=_median(turns.right),
         drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
         brake_mps2=_median(accelerating.braking),
         battery_v=round(battery.minimum, 3) if battery.count else None, **_link_counts(drive.teensy),
@@ -95,7 +91,7 @@ def row(drive: Summary, path: str) -> Row:
         errors=sum(fault.times for fault in faults.entries if fault.level == ERROR) if can_tell else None,
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
-        notes=notes)
+        notes=[*drive.notes, *(["a calibration drive"] if drive.calibration else [])])
 
 
 def _link_counts(teensy):

@@ -213,7 +213,8 @@ class MotionWatch:
         self._others_s = -math.inf  # when the throttle was last not the planner's
         self.path = Path()  # where the car was, by who steered
         self.distance_m = self.moving_s = 0.0  # how far, and how long it drove
-        self.by_tables = Following(steering, MAX_LATERAL_MPS2)  # in slow bends: a table knows no tyres
+        # In slow bends: a table knows no tyres. Empty after a calibration drive, which drove by the table before.
+        self.by_tables = Following(steering, MAX_LATERAL_MPS2)
         self.by_planner = Following(asked)
         self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S

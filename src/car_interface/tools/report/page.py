@@ -20,12 +20,12 @@ WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables ne
 def page(drive: Summary, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` are SVGs by name, of which those that are missing are left out."""
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
-    lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
+    lines = (*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive))
     has_sonars = not drive.present.isdisjoint(RANGES)
-    wrong_sides = [] if drive.calibration else _turns(drive.motion.by_tables, least=WRONG_RATIO)
     return render(
-        "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
-        who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
+        "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive),
+        lines=[line for line in lines if line[1]], who_drove=_who_drove(drive.steering.source_s),
+        wrong_sides=_turns(drive.motion.by_tables, least=WRONG_RATIO), gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN,
         absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
         has_sonars=has_sonars, left_out=_left_out(drive, plots),
@@ -71,7 +71,7 @@ def _who_drove(source_s):
 
 
 def _steering_lines(steering):
-    """Yield lines of the table at the top: name, and text."""
+    """Yield lines of the table at the top: name, and text; an empty one is left out, as from all of these functions."""
     episodes = steering.episodes
     if not episodes:
         return
@@ -88,13 +88,9 @@ def _motion_lines(drive):
         mean_mps = motion.distance_m / motion.moving_s if motion.moving_s else 0.0
         yield "Moving", (f"{span_text(motion.moving_s)}, on average at {mean_mps:.2f} m/s; "
                          f"{range_text(traces['speed'], 'm/s')}")
-    if traces["acceleration"].count:
-        yield "Acceleration", range_text(traces["acceleration"], "m/s²")
-    if traces["battery voltage"].count:
-        yield "Battery", range_text(traces["battery voltage"], "V")
-    turns = [] if drive.calibration else _turns(motion.by_tables)  # it drove by the table before
-    if turns:
-        yield "Slow turns against the tables", "; ".join(map(" ".join, turns))
+    yield "Acceleration", range_text(traces["acceleration"], "m/s²")
+    yield "Battery", range_text(traces["battery voltage"], "V")
+    yield "Slow turns against the tables", "; ".join(map(" ".join, _turns(motion.by_tables)))
     # Mounted on its side an IMU measures no turn.
     by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()
     if by_imu is not None:
@@ -113,8 +109,7 @@ def _teensy_lines(drive):
         reboots = f"; the Teensy started anew {times_text(link.reboots)}" if link.reboots else ""
         yield "Teensy's link", (f"{frames} frames, {corrupt} corrupt{ratio}; {link.pongs} of {link.pings} pings "
                                 f"answered{reopened}{reboots}")
-    if traces["round trip"].count:
-        yield "Round trip", range_text(traces["round trip"], "ms")
+    yield "Round trip", range_text(traces["round trip"], "ms")
     if traces["skew"].count:
         yield "Teensy's clock", (f"{traces['skew'].curve()[1][-1]:+.1f} ppm at the end, known to "
                                  f"{traces['uncertainty'].curve()[1][-1]:.2f} ms")
@@ -127,11 +122,9 @@ def _asked_lines(drive):
     ratio = drive.asked.speed_ratios.median()
     if ratio is not None:
         yield "Speed against what was asked", ratio_text(ratio, "asked", "faster", "slower")
-    turns = _turns(drive.motion.by_planner, "asked")
-    if drive.asked.wheelbase_m is None:
-        yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
-    elif turns:
-        yield "Turned against what was asked", "; ".join(map(" ".join, turns))
+    turns = "; ".join(map(" ".join, _turns(drive.motion.by_planner, "asked")))
+    yield "Turned against what was asked", turns if drive.asked.wheelbase_m is not None else (
+        "can't tell: which curve an angle asks for needs --wheelbase")
 
 
 def _turns(following, wanted="the tables say", least=0.0):
@@ -142,5 +135,6 @@ def _turns(following, wanted="the tables say", least=0.0):
 
 
 def range_text(trace: Trace, unit: str) -> str:
-    """Return the range of a trace's samples with its unit."""
-    return f"{round(trace.minimum, 2) + 0.0:.2f} to {round(trace.maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
+    """Return the range of a trace's samples with its unit; of none an empty text."""
+    low, high = (round(bound, 2) + 0.0 for bound in (trace.minimum, trace.maximum))  # + 0.0: no "-0.00"
+    return f"{low:.2f} to {high:.2f} {unit}" if trace.count else ""

@@ -15,7 +15,7 @@ from car_interface.tools.recordings.columns import MAX_NUMBER, VOLTAGE, value_of
 from car_interface.tools.report import states
 from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog
-from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
+from car_interface.tools.report.motion import AskedWatch, Following, ImuWatch, MotionWatch, SonarWatch
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
@@ -98,6 +98,7 @@ class Summary:
         self.faults.dropped += self.steering.dropped + self.throttle.dropped
         self.faults.finish(self.steering.driven_from_s())
         if self.calibration is not None:  # its table is to be replaced, and it keeps room to coast in
+            self.motion.by_tables = Following(self.steering)
             self.faults.entries[:] = [fault for fault in self.faults.entries if not (
                 UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
 

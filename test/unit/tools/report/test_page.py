@@ -171,5 +171,5 @@ def test_long_table_is_folded_and_a_very_long_one_ends_early(seen, count, is_fol
 
 
 def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
-    assert range_text(SimpleNamespace(minimum=-0.5, maximum=12.346), "m/s²") == "-0.50 to 12.35 m/s²"
-    assert range_text(SimpleNamespace(minimum=-0.001, maximum=1.0), "m/s") == "0.00 to 1.00 m/s"
+    assert range_text(SimpleNamespace(count=2, minimum=-0.5, maximum=12.346), "m/s²") == "-0.50 to 12.35 m/s²"
+    assert range_text(SimpleNamespace(count=2, minimum=-0.001, maximum=1.0), "m/s") == "0.00 to 1.00 m/s"
