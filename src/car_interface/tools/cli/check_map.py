@@ -129,12 +129,10 @@ def steering_picture(config: SteeringCalibration) -> list[str]:
     def bar(duty):
         return "█" * round(BAR * abs(duty - config.servo_center) / max_travel)
 
-    ends = f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}"
-    lines = [f"{ends}, channel {config.servo_channel}", "",
-             f"{'radius':>9}  {'left':>6} {'':{BAR}}│{'':{BAR}} right"]
-    for radius_m, left, right in zip(config.radius_axis_m, config.left_duties, config.right_duties):
-        lines.append(f"{radius_m:7g} m  {left:6g} {bar(left):>{BAR}}│{bar(right):<{BAR}} {right:<6g}".rstrip())
-    return lines
+    return [f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}, "
+            f"channel {config.servo_channel}", "", f"{'radius':>9}  {'left':>6} {'':{BAR}}│{'':{BAR}} right",
+            *(f"{radius_m:7g} m  {left:6g} {bar(left):>{BAR}}│{bar(right):<{BAR}} {right:<6g}".rstrip()
+              for radius_m, left, right in zip(config.radius_axis_m, config.left_duties, config.right_duties))]
 
 
 def steering_notes(config: SteeringCalibration) -> Iterator[str]:
@@ -167,37 +165,32 @@ def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
     cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
     largest = max(max(map(abs, row)) for row in cells) or 1.0
     values, velocities = table.values, table.velocities
-    spans = (f"{len(values)} values, {values[0]:g} to {values[-1]:g}; "
-             f"{len(velocities)} velocities, {velocities[0]:g} to {velocities[-1]:g} m/s")
-    lines = [f"acceleration in m/s²; {spans}", ""]
-    for value, row in zip(reversed(rows), reversed(cells)):
-        lines.append(f"{value:8.4g} │" + "".join(_cell(number, largest, colour) for number in row))
-    lines.append(f"{'value':>8} └" + "─" * (7 * len(columns)))
-    lines.append(f"{'m/s':>8}  " + "".join(f"{velocity:6.3g} " for velocity in columns))
-    return lines
+    return [f"acceleration in m/s²; {len(values)} values, {values[0]:g} to {values[-1]:g}; "
+            f"{len(velocities)} velocities, {velocities[0]:g} to {velocities[-1]:g} m/s", "",
+            *(f"{value:8.4g} │" + "".join(_cell(number, largest, colour) for number in row)
+              for value, row in zip(reversed(rows), reversed(cells))),
+            f"{'value':>8} └" + "─" * (7 * len(columns)),
+            f"{'m/s':>8}  " + "".join(f"{velocity:6.3g} " for velocity in columns)]
 
 
 def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[str]:
     """Yield what generic_value_converter accepts and an owner may still want to know."""
-    accelerations = [[table.acceleration_at(value, velocity) for velocity in table.velocities]
-                     for value in table.values]
-    rises = [(after - before, velocity, low, high)
-             for low, high, row, next_row in zip(table.values, table.values[1:], accelerations, accelerations[1:])
-             for before, after, velocity in zip(row, next_row, table.velocities)]
-    smallest, velocity, low, high = min(rises)
+    values, velocities = table.values, table.velocities
+    smallest, velocity, low, high = min(
+        (table.acceleration_at(high, velocity) - table.acceleration_at(low, velocity), velocity, low, high)
+        for low, high in zip(values, values[1:]) for velocity in velocities)
     if smallest < LEVEL_MPS2:
         yield (f"from value {low:g} to {high:g} at {velocity:g} m/s acceleration rises by only {smallest:.2g} m/s²: "
                "a small error there is a large one in the value")
-    held, ends = [], ((table.velocities[0], 0), (table.velocities[-1], -1))
-    for velocity, column in ends:
-        lowest, highest = accelerations[0][column], accelerations[-1][column]
+    held = []
+    for velocity in (velocities[0], velocities[-1]):
+        lowest, highest = (table.acceleration_at(value, velocity) for value in (values[0], values[-1]))
         if lowest <= 0 <= highest:
             held.append(f"{table.value_at(0.0, velocity):.3g} at {velocity:g} m/s")
         else:
             yield f"at {velocity:g} m/s it has no value for 0 m/s², only for {lowest:g} to {highest:g}"
     if held:
         yield f"0 m/s² takes the value {' and '.join(held)}"
-    values = table.values
     if values[0] < limits.min_value or values[-1] > limits.max_value:
         yield (f"its values, {values[0]:g} to {values[-1]:g}, lie partly outside: generic_value_converter clamps to "
                f"min_value {limits.min_value:g} … max_value {limits.max_value:g}")
