@@ -48,7 +48,7 @@ class Row(NamedTuple):
     planner_s: float | None = None
     losses: dict | None = None  # how often something was lost or locked while somebody drove, by cause
     straight_per_m: float | None = None  # the curvature driven when sent straight on, left positive: the center is off
-    left_ratio: float | None = None  # the driven curvature to the sent one
+    left_ratio: float | None = None  # the driven curvature to the sent one, never 0
     right_ratio: float | None = None
     # By how much the car accelerated more than the planner requested, where that was to drive, to hold the speed, to
     # brake: the value map is off.
@@ -172,8 +172,7 @@ def _steering(row):
         yield f"straight on: {abs(row.straight_per_m):.3f} 1/m{side}"
     for side, ratio in (("left", row.left_ratio), ("right", row.right_ratio)):
         if ratio is not None:
-            wider = 1 / ratio if ratio else math.inf  # 0: it went straight on
-            yield f"{side}: {ratio_text(wider, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
+            yield f"{side}: {ratio_text(1 / ratio, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
 
 
 def _link(row):
@@ -252,7 +251,7 @@ def trends(rows: Sequence[Row]) -> str:
 
 def _distance(axes, rows):
     plots.title(axes, "Distance in m")
-    heights = _column(row.distance_m for row in rows)
+    heights = np.array([row.distance_m for row in rows], float)  # None is NaN
     axes.bar(range(len(rows)), heights, color=plots.SENT, width=0.7)
     _mark_zeros(axes, heights)
     axes.set_ylim(0, max(1.0, 1.08 * float(np.nanmax(heights))))
@@ -287,9 +286,9 @@ def _lines(text, least, columns, axes, rows):
     """Draw a line through what is known of each column; the axis reaches at least as far as ``least`` beside 0."""
     plots.title(axes, text)
     for name, (label, colour) in columns.items():
-        is_ratio = name.endswith("_ratio")
-        values = _column(_tighter_percent(number) if is_ratio else number
-                         for number in (getattr(row, name) for row in rows))
+        values = np.array([getattr(row, name) for row in rows], float)
+        if name.endswith("_ratio"):  # in % of the radius, as in the table of drives; at most 100 % wider, to see others
+            values = np.maximum(-100.0, 100 * (1 - 1 / values))
         known = np.flatnonzero(~np.isnan(values))
         axes.axhline(0, color=plots.FAINT, linewidth=0.9)
         if known.size:
@@ -301,24 +300,9 @@ def _lines(text, least, columns, axes, rows):
 
 def _frames(axes, rows):
     plots.title(axes, "Corrupt frames of the Teensy's link, in %; x: its port was opened again, or it started anew")
-    ratios = _column(None if row.frames is None else 100 * row.corrupt / max(row.frames + row.corrupt, 1)
-                     for row in rows)
+    ratios = np.array([None if row.frames is None else 100 * row.corrupt / max(row.frames + row.corrupt, 1)
+                       for row in rows], float)
     axes.plot(range(len(rows)), ratios, color=plots.SENT, marker="o", markersize=3.5)
     again = [index for index, row in enumerate(rows) if (row.reopened or 0) + (row.reboots or 0) > 0]
     axes.plot(again, ratios[again], color=plots.BAD, marker="x", linestyle="none", markersize=7)
     axes.set_ylim(0, max(0.1, 1.2 * float(np.nanmax(ratios))))
-
-
-def _column(numbers):
-    """Return the numbers as an array (N,), NaN for one that isn't known."""
-    return np.array([np.nan if number is None else number for number in numbers], float)
-
-
-def _tighter_percent(ratio):
-    """Return by how much the radius is less than the tables'; the table of drives has the same number.
-
-    A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
-    """
-    if ratio is None:
-        return None
-    return max(-100.0, 100 * (1 - 1 / ratio)) if ratio else -100.0
