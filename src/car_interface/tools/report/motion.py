@@ -24,7 +24,7 @@ from car_interface.tools.recordings.columns import (
 )
 from car_interface.tools.report.downsample import Path, Spots, Traces
 from car_interface.tools.report.faults import WARN, Fault, FaultLog
-from car_interface.tools.report.states import Drivers, SteeringWatch, is_fresh
+from car_interface.tools.report.states import Episodes, PlannerWatch, SteeringWatch, is_fresh
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
 MIN_DISTANCE_M = 0.05  # in it, for a curvature
@@ -130,11 +130,13 @@ class Accelerating:
 class AskedWatch:
     """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for.
 
-    A request that is stale is none any more, and while somebody else has the car there is none either.
+    A request that is stale is none any more, and while somebody else has the car, as the watches of the states show, or
+    another source is obeyed, there is none either; a watch is ``None`` where no state was recorded that shows it.
     """
 
-    def __init__(self, traces: Traces, wheelbase_m: float | None, drivers: Drivers):
-        self._traces, self._drivers = traces, drivers
+    def __init__(self, traces: Traces, wheelbase_m: float | None, steering: Episodes | None, throttle: Episodes | None,
+                 planner: PlannerWatch | None):
+        self._traces, self._steering, self._throttle, self._planner = traces, steering, throttle, planner
         self.wheelbase_m = wheelbase_m  # None = unknown, and so is the curvature that an angle asks for
         self.curvature_per_m: float | None = None  # asked for now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when the angle last changed by more than SAME_RAD
@@ -162,11 +164,11 @@ class AskedWatch:
 
     def expire(self, time_s: float) -> None:
         """Drop the request if it is stale, or its part that somebody else decides."""
-        steering, throttle, planner = self._drivers
-        holds = is_fresh(self._received_s, time_s) and (planner is None or planner.obeyed_at(time_s) == DRIVE)
-        if not holds or steering is not None and steering.driver_at(time_s) != PLANNER:
+        is_obeyed = self._planner is None or self._planner.obeyed_at(time_s) == DRIVE
+        holds = is_obeyed and is_fresh(self._received_s, time_s)
+        if not holds or self._steering is not None and self._steering.driver_at(time_s) != PLANNER:
             self._angle_rad, self.curvature_per_m = math.nan, None
-        if not holds or throttle is not None and throttle.driver_at(time_s) != PLANNER:
+        if not holds or self._throttle is not None and self._throttle.driver_at(time_s) != PLANNER:
             self._speed_mps = math.nan
 
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
@@ -207,9 +209,9 @@ class MotionWatch:
     """Follows odometry, and compares it with what steered and drove; gaps and resets are faults."""
 
     def __init__(self, traces: Traces, faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
-                 drivers: Drivers, start_ns: int):
+                 throttle: Episodes | None, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
-        self._asked, self._throttle = asked, drivers.throttle
+        self._asked, self._throttle = asked, throttle  # None: no state was recorded that shows who drives
         self._others_s = -math.inf  # when the throttle was last not the planner's
         self.path = Path()  # where the car was, by who steered
         self.distance_m = self.moving_s = 0.0  # how far, and how long it drove

@@ -264,14 +264,6 @@ class PlannerWatch(Episodes):
         return ended, WARN if ended.cause in PLANNER_FAULTS else OK
 
 
-class Drivers(NamedTuple):
-    """The watches that show who has the car; ``None``: no state was recorded that shows it."""
-
-    steering: Episodes | None
-    throttle: Episodes | None
-    planner: PlannerWatch | None  # which source is obeyed
-
-
 class LimitsWatch:
     """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why."""
 

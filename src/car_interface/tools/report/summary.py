@@ -73,9 +73,9 @@ class Summary:
         # Where one state wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
         steering, throttle, planner = (watch if f"{watch.node}/state" in present else None
                                        for watch in (self.steering, self.throttle, self.planner))
-        drivers = states.Drivers(steering or throttle, throttle or steering, planner)
-        self.asked = AskedWatch(self.traces, wheelbase_m, drivers)
-        self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
+        steering, throttle = steering or throttle, throttle or steering
+        self.asked = AskedWatch(self.traces, wheelbase_m, steering, throttle, planner)
+        self.motion = MotionWatch(*found, self.steering, self.asked, throttle, self.start_ns)
         self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion)
         self.teensy = states.TeensyWatch(*found)
 
