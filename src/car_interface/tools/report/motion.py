@@ -177,34 +177,6 @@ class AskedWatch:
             self.speed_ratios.add(speed_mps / self._speed_mps)
 
 
-class PoseSpeed:
-    """The speed of an odometry that sends poses alone."""
-
-    def __init__(self):
-        self._poses: deque = deque()  # time, place, yaw of the last POSE_WINDOW_S, two at least
-
-    def update(self, time_s: float, place: complex, yaw: float) -> tuple[float, float]:
-        """Take a pose.
-
-        Returns:
-            The speed in m/s over POSE_WINDOW_S or from the pose before, forward positive, and how long ago the middle
-            of that is, in s. NaN while the poses span less: noise would be too large a part of it.
-        """
-        poses = self._poses
-        if poses and (time_s < poses[-1][0] or abs(place - poses[-1][1]) > JUMP_M):
-            poses.clear()
-        poses.append((time_s, place, yaw))
-        while len(poses) > 1 and time_s - poses[1][0] >= POSE_WINDOW_S:
-            poses.popleft()
-        begin_s, begin, begin_yaw = poses[0]
-        span_s, step = time_s - begin_s, place - begin
-        if span_s < POSE_WINDOW_S:
-            return math.nan, 0.0
-        heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
-        # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
-        return math.copysign(abs(step), (step * cmath.rect(1, -heading)).real) / span_s, span_s / 2
-
-
 class MotionWatch:
     """Follows odometry, and compares it with what steered and drove; gaps and resets are faults."""
 
@@ -223,8 +195,8 @@ class MotionWatch:
         self._yaw = self._signed_distance_m = 0.0
         self._turn_rate_radps: float | None = None  # in the last WINDOW_S, left positive; None = unknown
         self._has_twist = False  # until one isn't 0 the speed is the pose's: motion capture sends poses alone
-        self._by_pose = PoseSpeed()
         self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, place, yaw
+        self._last_poses: deque = deque()  # the same in the last POSE_WINDOW_S, two at least, while there is no twist
         self._newest_s = math.nan  # when the newest of them was recorded; NaN = there is none
 
     def on_odom(self, time_s: float, message: Any) -> None:
@@ -238,7 +210,7 @@ class MotionWatch:
         stamp_s = (stamp - self._start_ns) / NS_PER_S if stamp else time_s
         self._has_twist = self._has_twist or has_twist(message)
         if not self._has_twist:
-            speed, lag_s = self._by_pose.update(stamp_s, place, yaw)
+            speed, lag_s = self._pose_speed(stamp_s, place, yaw)
         for sender in (self._steering, self._asked):
             sender.expire(time_s)
         if self._poses:
@@ -264,6 +236,27 @@ class MotionWatch:
     def note(self, topic: str) -> str:
         """Return what the speed is by if not by the twist of odometry on a topic; empty: by that."""
         return "" if self._has_twist or not self.distance_m else f"{topic}: {POSE_ONLY}"
+
+    def _pose_speed(self, stamp_s, place, yaw):
+        """Take a pose of an odometry that sends poses alone.
+
+        Returns:
+            The speed in m/s over POSE_WINDOW_S or from the pose before, forward positive, and how long ago the middle
+            of that is, in s. NaN while the poses span less: noise would be too large a part of it.
+        """
+        poses = self._last_poses
+        if poses and (stamp_s < poses[-1][0] or abs(place - poses[-1][1]) > JUMP_M):
+            poses.clear()
+        poses.append((stamp_s, place, yaw))
+        while len(poses) > 1 and stamp_s - poses[1][0] >= POSE_WINDOW_S:
+            poses.popleft()
+        begin_s, begin, begin_yaw = poses[0]
+        span_s, step = stamp_s - begin_s, place - begin
+        if span_s < POSE_WINDOW_S:
+            return math.nan, 0.0
+        heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
+        # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
+        return math.copysign(abs(step), (step * cmath.rect(1, -heading)).real) / span_s, span_s / 2
 
     def _move(self, time_s, place, yaw, speed):
         before_s, (_, before, yaw_before) = self._newest_s, self._poses[-1]
