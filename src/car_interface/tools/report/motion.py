@@ -14,14 +14,7 @@ import numpy as np
 
 from car_interface.common.sources import DRIVE, PLANNER
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
-from car_interface.tools.recordings.columns import (
-    MAX_NUMBER,
-    POSE_ONLY,
-    POSE_WINDOW_S,
-    Gravity,
-    ackermann_drive,
-    has_twist,
-)
+from car_interface.tools.recordings import columns
 from car_interface.tools.report.downsample import Path, Spots, Traces
 from car_interface.tools.report.faults import WARN, Fault, FaultLog
 from car_interface.tools.report.states import Episodes, PlannerWatch, SteeringWatch, is_fresh
@@ -146,7 +139,7 @@ class AskedWatch:
 
     def on_drive(self, time_s: float, message: Any) -> None:
         """Take a request."""
-        asked = ackermann_drive(message)
+        asked = columns.ackermann_drive(message)
         angle_rad, speed_mps = asked.steering_angle, asked.speed
         if not (math.isfinite(angle_rad) and math.isfinite(speed_mps)):
             return
@@ -203,12 +196,12 @@ class MotionWatch:
         """Take a nav_msgs/Odometry."""
         pose, speed, lag_s = message.pose.pose, message.twist.twist.linear.x, 0.0
         x_m, y_m, yaw = pose.position.x, pose.position.y, yaw_rad(pose.orientation)
-        if not all(abs(number) <= MAX_NUMBER for number in (x_m, y_m, yaw, speed)):  # nor of NaN
+        if not all(abs(number) <= columns.MAX_NUMBER for number in (x_m, y_m, yaw, speed)):  # nor of NaN
             return
         place = complex(x_m, y_m)
         stamp = stamp_ns(message.header.stamp)
         stamp_s = (stamp - self._start_ns) / NS_PER_S if stamp else time_s
-        self._has_twist = self._has_twist or has_twist(message)
+        self._has_twist = self._has_twist or columns.has_twist(message)
         if not self._has_twist:
             speed, lag_s = self._pose_speed(stamp_s, place, yaw)
         for sender in (self._steering, self._asked):
@@ -235,7 +228,7 @@ class MotionWatch:
 
     def note(self, topic: str) -> str:
         """Return what the speed is by if not by the twist of odometry on a topic; empty: by that."""
-        return "" if self._has_twist or not self.distance_m else f"{topic}: {POSE_ONLY}"
+        return "" if self._has_twist or not self.distance_m else f"{topic}: {columns.POSE_ONLY}"
 
     def _pose_speed(self, stamp_s, place, yaw):
         """Take a pose of an odometry that sends poses alone.
@@ -248,11 +241,11 @@ class MotionWatch:
         if poses and (stamp_s < poses[-1][0] or abs(place - poses[-1][1]) > JUMP_M):
             poses.clear()
         poses.append((stamp_s, place, yaw))
-        while len(poses) > 1 and stamp_s - poses[1][0] >= POSE_WINDOW_S:
+        while len(poses) > 1 and stamp_s - poses[1][0] >= columns.POSE_WINDOW_S:
             poses.popleft()
         begin_s, begin, begin_yaw = poses[0]
         span_s, step = stamp_s - begin_s, place - begin
-        if span_s < POSE_WINDOW_S:
+        if span_s < columns.POSE_WINDOW_S:
             return math.nan, 0.0
         heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
         # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
@@ -316,7 +309,7 @@ class ImuWatch:
 
     def __init__(self, traces: Traces, motion: MotionWatch):
         self._traces, self._motion = traces, motion
-        self.gravity = Gravity()  # shows how it is mounted
+        self.gravity = columns.Gravity()  # shows how it is mounted
         self.ratios = Bins(*RATIOS)  # odometry's turn rate to the IMU's
         self._rate_radps, self._last_s = 0.0, math.nan
 
