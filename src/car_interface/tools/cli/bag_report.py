@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         except CarInterfaceError as error:
             failed = _failed(error)
     report = partial(_report, namespace=options.namespace, wheelbase_m=options.wheelbase,
-                     progress=len(options.bags) == 1, topics=topics)
+                     progress=len(options.bags) == 1, **topics)
     made = try_each(report, [bag for bag, _ in pages], "no page can be made of it", options.jobs, options.scheduler)
     for (bag, path), (report_of_it, error) in zip(pages, made):
         try:
@@ -67,9 +67,9 @@ def _failed(error):
 def _pages(options):
     """Return pairs of a recording and its page's path."""
     bags, folder = options.bags, options.output
-    if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
-        return [(bags[0], folder)]
     if folder is not None and not os.path.isdir(folder):
+        if len(bags) == 1:
+            return [(bags[0], folder)]
         raise CarInterfaceError(f"-o {folder} is no folder, and {len(bags)} recordings need one: "
                                 f"mkdir {shlex.quote(folder)}")
     pages = [(bag, str(page_path(bag, options.namespace, folder))) for bag in bags]
@@ -87,8 +87,8 @@ def page_path(bag: str, namespace: str, folder: str | None = None) -> Path:
     return Path(folder or place.parent) / ".".join([stem, *filter(None, namespace.split("/")), "html"])
 
 
-def _report(bag, namespace, wheelbase_m, progress, topics):
+def _report(bag, **options):
     """Return lines on the topics that a page is about, and the page."""
-    drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
+    drive = summarize(bag, **options)
     drive.path = os.path.abspath(bag)  # whoever reads the page, or a worker elsewhere, is in another folder
     return drive.notes, page(drive, plots(drive))
