@@ -83,11 +83,11 @@ class FaultLog:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
         another one.
         """
-        since_s, fault = self._starting_s.setdefault(key, time_s), self._open.pop(key, None)
+        since_s, fault = self._starting_s.setdefault(key, time_s), self._open.get(key)
         goes_on = fault is not None and level != OK and without_numbers(fault.what) == without_numbers(what)
         if fault is not None and not goes_on:
             is_start = fault.level == WARN and time_s - since_s <= STARTS_WITHIN_S
-            (self._starts.append if is_start else self.add)(fault._replace(end_s=time_s))
+            (self._starts.append if is_start else self.add)(self._open.pop(key)._replace(end_s=time_s))
         if level == OK:
             self._starting_s[key] = -math.inf
         elif goes_on:

@@ -301,7 +301,7 @@ def _slope(samples):
     """Return the slope of a line through (time, value, …) in least squares; the times differ."""
     times, values = np.transpose([sample[:2] for sample in samples])
     offsets = times - times.mean()
-    return float(offsets @ (values - values.mean()) / (offsets @ offsets))
+    return float(offsets @ (values - values[0]) / (offsets @ offsets))  # exactly 0 of values that are all the same
 
 
 class ImuWatch:
