@@ -129,8 +129,8 @@ def steering_picture(config: SteeringCalibration) -> list[str]:
     def bar(duty):
         return "█" * round(BAR * abs(duty - config.servo_center) / max_travel)
 
-    return [f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}, "
-            f"channel {config.servo_channel}", "", f"{'radius':>9}  {'left':>6} {'':{BAR}}│{'':{BAR}} right",
+    return [(f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}, "
+             f"channel {config.servo_channel}"), "", f"{'radius':>9}  {'left':>6} {'':{BAR}}│{'':{BAR}} right",
             *(f"{radius_m:7g} m  {left:6g} {bar(left):>{BAR}}│{bar(right):<{BAR}} {right:<6g}".rstrip()
               for radius_m, left, right in zip(config.radius_axis_m, config.left_duties, config.right_duties))]
 
@@ -165,8 +165,8 @@ def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
     cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
     largest = max(max(map(abs, row)) for row in cells) or 1.0
     values, velocities = table.values, table.velocities
-    return [f"acceleration in m/s²; {len(values)} values, {values[0]:g} to {values[-1]:g}; "
-            f"{len(velocities)} velocities, {velocities[0]:g} to {velocities[-1]:g} m/s", "",
+    return [(f"acceleration in m/s²; {len(values)} values, {values[0]:g} to {values[-1]:g}; "
+             f"{len(velocities)} velocities, {velocities[0]:g} to {velocities[-1]:g} m/s"), "",
             *(f"{value:8.4g} │" + "".join(_cell(number, largest, colour) for number in row)
               for value, row in zip(reversed(rows), reversed(cells))),
             f"{'value':>8} └" + "─" * (7 * len(columns)),
