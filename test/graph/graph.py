@@ -88,7 +88,6 @@ class NodeInbox(Inbox):
 
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
         self.node = node
-        self.fds: set = set()
         self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
@@ -116,16 +115,15 @@ class NodeInbox(Inbox):
         """Whether a service call waits for the node."""
         return self._has_request or not all(done.done() for done in list(self._open_requests))
 
-    def watch(self, fd) -> None:
-        self.fds.add(fd)
-
-    def unwatch(self, fd) -> None:
-        self.fds.discard(fd)
+    @property
+    def fds(self) -> list:
+        """The devices that the node watches."""
+        return list(self._watched.values())
 
     @property
     def has_readable(self) -> bool:
         """Whether a watched device still has something: as with select, the node's wait ends at once then."""
-        return bool(self.fds) and any(getattr(fd, "is_readable", False) for fd in self.fds)
+        return any(getattr(fd, "is_readable", False) for fd in self.fds)
 
     def abandon(self) -> None:
         """Close the devices that the node watches, and the service calls, as the system does for a killed process."""

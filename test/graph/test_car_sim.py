@@ -92,7 +92,7 @@ def test_walls_are_drawn_low_from_corner_to_corner_and_things_high_where_they_st
 
 
 def test_a_virtual_servo_board_is_looked_for_again_after_a_pause_and_not_while_it_is_there(tmp_path):
-    follower, opened, is_there = ChipFollower(str(tmp_path / "none"), SimpleNamespace(watch=set().add)), [], []
+    follower, opened, is_there = ChipFollower(str(tmp_path / "none"), SimpleNamespace(watch={}.__setitem__)), [], []
 
     def open_link():
         opened.append(True)

@@ -81,7 +81,7 @@ class GamepadJoy:
     def _open(self, now_ns):
         pad = choose_pad(self._find(), self._config.dev, OPTION, self._pad)
         self._device = self._open_device(pad)
-        self._inbox.watch(self._device.fileno())
+        self._inbox.watch("gamepad", self._device.fileno())
         self._joystick = Joystick(self._device.keys, self._device.ranges, self._config.deadzone)
         self._read_axes(now_ns)
         self._pad, self._fault = pad, None
@@ -106,7 +106,7 @@ class GamepadJoy:
     def _close(self):
         self._due_ns = math.inf
         if self._device is not None:
-            self._inbox.unwatch(self._device.fileno())
+            self._inbox.watch("gamepad", None)
             self._device.close()
             self._device = None
 

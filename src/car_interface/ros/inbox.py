@@ -61,7 +61,7 @@ class Inbox:
         # Closed by the garbage collector after the last use: a closed fd's number may be a serial port's by then.
         self._woken, self._waker = socket.socketpair()
         self._waker.setblocking(False)
-        self._watched: list = [self._woken]
+        self._watched: dict[str, int] = {}  # file descriptors, by what they are of
 
     @property
     def node_name(self) -> str:
@@ -209,18 +209,16 @@ class Inbox:
         self.ending = True
         self.wake()
 
-    def watch(self, fd: int) -> None:
-        """Also end a wait when ``fd`` is readable or in error."""
-        self._watched.append(fd)
-
-    def unwatch(self, fd: int) -> None:
-        """No longer wait for ``fd``."""
-        self._watched = [watched for watched in self._watched if watched != fd]
+    def watch(self, what: str, fd: int | None) -> None:
+        """Also end a wait when ``fd``, of this name, is readable or in error; ``None`` = no longer."""
+        self._watched.pop(what, None)
+        if fd is not None:
+            self._watched[what] = fd
 
     def wait_until(self, deadline_ns: float) -> None:
         """Sleep until an item arrives, a watched fd is readable, or the monotonic clock reaches the deadline."""
         left_ns = max(0, min(deadline_ns - self.clocks.now_ns(), MAX_WAIT_NS))
-        ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
+        ready, _, _ = select.select([self._woken, *self._watched.values()], [], [], left_ns / NS_PER_S)
         if self._woken in ready:
             self._woken.recv(4096)
 

@@ -72,7 +72,7 @@ class ChipFollower:
                 self.problem = ""
                 self._link.open()
                 self._fd = self._link.observe()
-                self._inbox.watch(self._fd)
+                self._inbox.watch("chip", self._fd)
             if self._fd is not None:
                 for counts in self._link.changes():
                     self.duties = [duty_of_counts(each) for each in counts]
@@ -83,8 +83,7 @@ class ChipFollower:
             self.close()
 
     def close(self) -> None:
-        if self._fd is not None:
-            self._inbox.unwatch(self._fd)
+        self._inbox.watch("chip", None)
         self._link.close()
         self._fd = self.duties = None
 

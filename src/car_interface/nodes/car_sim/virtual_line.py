@@ -149,7 +149,6 @@ class VirtualLine:
         self._claim = make_claim(path)  # also while it's unplugged
         self._path, self._firmware, self._inbox = path, firmware, inbox
         self._bad = bad = BadLine(seed)
-        self._watched_fd = None
         self._terminal = self._make_terminal(path)
         self._unplugged_from = ""
         self._plug_ns = NEVER_NS
@@ -170,11 +169,10 @@ class VirtualLine:
         """Carry what both sides have sent until now."""
         if self._terminal is None and now_ns >= self._plug_ns:
             self._plug()
-        self._watch(self._terminal is not None and self._firmware.receive_backlog(now_ns) < MAX_BACKLOG)
-        if self._watched_fd is not None:
-            written = self._bad.to_teensy(self._terminal.read(), now_ns)
-            if written:
-                self._firmware.receive(written, now_ns)
+        is_read = self._terminal is not None and self._firmware.receive_backlog(now_ns) < MAX_BACKLOG
+        self._inbox.watch("line", self._terminal.fileno() if is_read else None)  # unread it would wake for ever
+        if is_read:
+            self._firmware.receive(self._bad.to_teensy(self._terminal.read(), now_ns), now_ns)
         sent = self._bad.to_host(self._firmware.transmit(now_ns), now_ns)
         if sent and self._terminal is not None:
             self._terminal.write(sent)
@@ -184,19 +182,10 @@ class VirtualLine:
         self._claim.close()
 
     def _hang_up(self):
-        self._watch(False)
+        self._inbox.watch("line", None)
         if self._terminal is not None:
             self._terminal.close()
             self._terminal = None
-
-    def _watch(self, wanted):
-        """Wake for what the program writes only while it's read: unread it would wake again and again."""
-        if wanted and self._watched_fd is None:
-            self._watched_fd = self._terminal.fileno()
-            self._inbox.watch(self._watched_fd)
-        elif not wanted and self._watched_fd is not None:
-            self._inbox.unwatch(self._watched_fd)
-            self._watched_fd = None
 
     def _unplug(self, duration_s, now_ns):
         require(0 <= duration_s <= MAX_S, "unplug", duration_s, f"0 (until plug) to {MAX_S} s")

@@ -69,8 +69,8 @@ class TeensySensorHub:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
-        self._watched_fd = None
-        self._rest_until_ns = 0  # the port is left alone: it couldn't be opened, was lost, or there was a flood
+        # Until when the port is left alone: it couldn't be opened, was lost, or there was a flood; 0 = it isn't.
+        self._rest_until_ns = 0
         self._link_timer = RateTimer(1, now_ns)
         self._status_topic = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
@@ -154,7 +154,7 @@ class TeensySensorHub:
         if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
             self._ping_when_due(now_ns)
         ping_ns = self._session.pinger.next_event_ns() if self._link.is_open else math.inf
-        return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
+        return min(ping_ns, self._rest_until_ns or math.inf)
 
     def shut_down(self):
         self._commands.keys.restore()
@@ -165,8 +165,7 @@ class TeensySensorHub:
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
         self._link.open()
-        self._rest_until_ns = 0
-        self._watch_port(True)
+        self._begin_reading()
         rospy.loginfo("the Teensy's port is open")
         now_ns = self._clocks.now_ns()
         self._session.opened(now_ns)
@@ -174,18 +173,13 @@ class TeensySensorHub:
         self._publish_status()
         self._ping()
 
-    def _watch_port(self, wanted):
-        """Wake on the port, or don't: while it isn't read it would end every wait."""
-        if wanted and self._watched_fd is None:
-            self._watched_fd = self._link.fileno()
-            self._inbox.watch(self._watched_fd)
-        elif not wanted and self._watched_fd is not None:
-            self._inbox.unwatch(self._watched_fd)
-            self._watched_fd = None
+    def _begin_reading(self):
+        self._rest_until_ns = 0
+        self._inbox.watch("port", self._link.fileno())
 
     def _close(self, reason):
         """Close the port and answer the ~ping calls that wait for it."""
-        self._watch_port(False)
+        self._inbox.watch("port", None)
         self._link.close()
         self._commands.answer_pings(False, reason)
 
@@ -196,7 +190,7 @@ class TeensySensorHub:
             self._lose(error)
             return
         received_ns = self._clocks.now_ns()
-        self._watch_port(True)
+        self._begin_reading()
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
@@ -217,7 +211,7 @@ class TeensySensorHub:
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
             now_ns = self._clocks.now_ns()
             self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
-            self._watch_port(False)
+            self._inbox.watch("port", None)  # unread it would end every wait
 
     def _lose(self, error):
         self._warnings.warn(error.state, f"{error}")

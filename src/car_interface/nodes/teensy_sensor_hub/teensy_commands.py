@@ -56,7 +56,7 @@ class TeensyCommands:
             "set_sonar_wait": (SetSonarWait, lambda answer, request: self._send(
                 answer, protocol.sonar_wait(request.wait_ms), lambda: sonars.wait_set(request.wait_ms)))}
         self.keys = Keys()
-        self._has_keys = self._watches_keys = False
+        self._has_keys = False
 
     def start(self) -> None:
         for name, (service_type, action) in self._services.items():
@@ -115,11 +115,8 @@ class TeensyCommands:
         if not self._has_keys:
             return
         typed = self.keys.read()
-        may_read = typed is not None
-        if may_read != self._watches_keys:
-            # A terminal that this process may not read stays readable for ever, and would wake it all the time.
-            (self._inbox.watch if may_read else self._inbox.unwatch)(self.keys.fileno())
-            self._watches_keys = may_read
+        # A terminal that this process may not read stays readable for ever, and would wake it all the time.
+        self._inbox.watch("keys", None if typed is None else self.keys.fileno())
         for key in (typed or "").upper():
             if key == "Q":
                 self._inbox.end()
