@@ -44,12 +44,9 @@ def make_folder(folder: str) -> None:
         UnsafeFile: see ``check_folder``.
         OSError: it can't be made.
     """
-    if os.path.basename(folder) != folder_name():
-        os.makedirs(folder, mode=FOLDER_MODE, exist_ok=True)
-        return
     try:
-        os.mkdir(folder, FOLDER_MODE)
-    except FileExistsError:
+        os.makedirs(folder, FOLDER_MODE, exist_ok=True)
+    except FileExistsError:  # something else is there
         pass
     check_folder(folder)
 

@@ -115,15 +115,15 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Handler, queue_si
     subscription.open(topic, message_type, lambda message: inbox.put(handler, message, wakes), queue_size)
 
 
-def listen(topic: str, message_type, inbox: Inbox, timeout_s: float, queue_size=10, wakes=True) -> TimedInput:
+def listen(topic: str, message_type, inbox: Inbox, timeout_s: float, wakes=True) -> TimedInput:
     """Subscribe; return what has the newest message, and its age."""
     newest = TimedInput(topic, timeout_s)
-    subscribe(topic, message_type, inbox, newest.update, queue_size, wakes)
+    subscribe(topic, message_type, inbox, newest.update, wakes=wakes)
     return newest
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Handler,
-                      on_change: Callable[[int], Any] | None = None, takes_latched: bool = False,
+                      on_change: Callable[[int], Any], takes_latched: bool = False,
                       value_of: Callable[[Any], Any] = attrgetter("data")) -> None:
     """Do the same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
 
@@ -147,7 +147,7 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Handler,
         value = value_of(message)
         has_changed = value != last  # as NaN always has
         last = value
-        inbox.put(handle_change if on_change and has_changed else handle, message, wakes=has_changed)
+        inbox.put(handle_change if has_changed else handle, message, wakes=has_changed)
     subscription.open(topic, message_type, receive)
 
 

@@ -113,18 +113,14 @@ class ChipServer:
     def _answer(self, client, packet):
         try:
             data, number = self._handle(client, packet), 0
-        except OSError as error:
-            data, number = b"", error.errno or errno.EIO
-        except Exception:  # no request may end the chip's pulses, as with a real one
-            data, number = b"", errno.EIO
+        except Exception as error:  # no request may end the chip's pulses, as with a real one
+            data, number = b"", getattr(error, "errno", None) or errno.EIO
         self._send(client, wire.ANSWER.pack(number) + data)
-        if packet[0] == wire.OBSERVE and not number:
-            self._outputs = self._pins()
-            self._send(client, wire.OUTPUTS.pack(*self._outputs))
-        elif self._observers and self._outputs != self._pins():
-            self._outputs = self._pins()
-            for observer in tuple(self._observers):
-                self._send(observer, wire.OUTPUTS.pack(*self._outputs))
+        outputs = self._pins()
+        if packet[0] == wire.OBSERVE or outputs != self._outputs:
+            self._outputs = outputs
+            for observer in self._observers:
+                self._send(observer, wire.OUTPUTS.pack(*outputs))
 
     def _send(self, client, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen

@@ -62,8 +62,6 @@ class BadLine:
         return self._carry(TO_TEENSY, data, now_ns)
 
     def _carry(self, direction, data, now_ns):
-        if not data:
-            return data
         if now_ns < self._until_ns[SCRAMBLE]:
             data = self._receivers[direction].receive(data)
         return self._noise[direction].flip(data)
