@@ -84,13 +84,9 @@ def _remove_leftovers(path):
     folder, name = map(glob.escape, os.path.split(path))
     for left_path in glob.iglob(os.path.join(folder, f".{name}.new-" + DIGIT * DIGITS)):
         # For writing, too: network drives lock nothing else. An OSError: it is gone, or somebody else's.
-        with suppress(OSError), open(left_path, "r+b", buffering=0, opener=_open_no_link) as left:
+        with suppress(OSError), open(os.open(left_path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as left:
             if _lock(left.fileno()):
                 os.unlink(left_path)
-
-
-def _open_no_link(path, flags):
-    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
 def _lock(fd):

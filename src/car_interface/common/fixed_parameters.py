@@ -43,7 +43,7 @@ def fixed_parameters(node: str, arguments: Sequence[str], process: str | None = 
         ConfigError: an argument is unknown, or has no value.
     """
     nodes = PARTS.get(process or node, (process or node,))
-    given = _parse(arguments, {_option(name): name for each in nodes for name in FIXED.get(each, ())})
+    given = _parse(arguments, {f"--{name}".replace("_", "-"): name for each in nodes for name in FIXED.get(each, ())})
     return {name: None if given[name] == AUTO.get(name) else given[name]
             for name in FIXED.get(node, ()) if name in given}
 
@@ -64,7 +64,3 @@ def _parse(arguments, names):
             raise ConfigError(f"argument {argument}", None, ", ".join(f"{option} VALUE" for option in names),
                               "is unknown")
     return found
-
-
-def _option(name):
-    return "--" + name.replace("_", "-")

@@ -92,10 +92,10 @@ class PlannerInterface:
         inbox = self._inbox
         if obeyed == AUTOWARE:
             subscribe("~input/gear_cmd", UInt8, inbox, self._on_gear)
-        message_type = {CMD_VEL: rospy.AnyMsg, AUTOWARE: Control, SPEED: Float32}.get(obeyed)
-        subscribe(TOPICS[obeyed], message_type or ackermann_drive_class(), inbox,
-                  {DRIVE: self._on_drive, CMD_VEL: self._on_twist, AUTOWARE: self._on_control,
-                   SPEED: self._on_speed}[obeyed])
+        message_type, handler = {
+            DRIVE: (None, self._on_drive), CMD_VEL: (rospy.AnyMsg, self._on_twist),
+            AUTOWARE: (Control, self._on_control), SPEED: (Float32, self._on_speed)}[obeyed]
+        subscribe(TOPICS[obeyed], message_type or ackermann_drive_class(), inbox, handler)
         for source, topic in TOPICS.items():
             if source != obeyed:
                 subscribe(topic, rospy.AnyMsg, inbox, lambda message, now_ns, source=source:

@@ -52,8 +52,6 @@ class Session:
         self.unknown_commands = 0  # of these, whose command the firmware doesn't send
         self.counters: dict[str, int] = {}  # the Teensy's own, by name, as it last sent them
         self.round_trip_ns = math.nan  # of the newest answered ping; NaN = none was answered yet
-        self._handlers = {Pong: self._on_pong, SonarStatus: self._on_sonar, ErrorCount: self._on_counter,
-                          Malformed: self._on_malformed}
 
     # The port
 
@@ -71,9 +69,18 @@ class Session:
         """Return the events in bytes that were read from the port, in order."""
         events: list = []
         for body in self._decoder.feed(data):
-            record = decode(body)
-            handle = self._handlers.get(type(record))
-            events.append(record if handle is None else handle(record, now_ns, events))
+            event = decode(body)
+            if isinstance(event, Pong):
+                event = self._on_pong(event, now_ns, events)
+            elif isinstance(event, SonarStatus):
+                self._on_tick(event.when, now_ns, events)
+            elif isinstance(event, ErrorCount):
+                if event.name in self.counters or len(self.counters) < MAX_COUNTERS:
+                    self.counters[event.name] = event.count
+            elif isinstance(event, Malformed):
+                self.malformed += 1
+                self.unknown_commands += event.is_unknown_command
+            events.append(event)
         return events
 
     def _on_pong(self, pong, now_ns, events):
@@ -83,10 +90,6 @@ class Session:
         self._on_tick(pong.timestamp2, now_ns, events, None if answer is None else answer.sent_ns)
         return PongReceived(pong, answer)
 
-    def _on_sonar(self, sonar, now_ns, events):
-        self._on_tick(sonar.when, now_ns, events)
-        return sonar
-
     def _on_tick(self, tick, now_ns, events, sent_ns=None):
         description = self._reboot_detector.update(tick, now_ns, sent_ns)
         if description is not None:
@@ -94,16 +97,6 @@ class Session:
             self.health.rebooted(description, now_ns)
             self.pinger.retry_now()
             events.append(Rebooted(description))
-
-    def _on_counter(self, counter, now_ns, events):
-        if counter.name in self.counters or len(self.counters) < MAX_COUNTERS:
-            self.counters[counter.name] = counter.count
-        return counter
-
-    def _on_malformed(self, frame, now_ns, events):
-        self.malformed += 1
-        self.unknown_commands += frame.is_unknown_command
-        return frame
 
     # To the Teensy
 
