@@ -224,8 +224,6 @@ class Inbox:
 
     def drain(self) -> list[tuple]:
         """Remove and return all items, oldest first, as (handler, item, arrival_ns)."""
-        if not self._items:  # what arrives now wakes the node
-            return []
         with self._lock:
             events = [event for event, _ in self._items]
             self._items.clear()

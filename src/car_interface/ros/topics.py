@@ -12,7 +12,6 @@ import logging
 import socket
 import traceback
 from concurrent.futures import Future
-from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Callable, Sequence
 
@@ -175,9 +174,8 @@ def duty_vector(duties: Sequence[int]) -> Int32MultiArray:
     return Int32MultiArray(layout=_LAYOUT, data=duties)
 
 
-@lru_cache(maxsize=256)
 def one_channel_duty(channel: int, duty: int) -> Int32MultiArray:
-    """Return the vector that sets one channel. A command that comes again isn't built again."""
+    """Return the vector that sets one channel."""
     return duty_vector(one_channel(channel, duty))
 
 

@@ -9,6 +9,7 @@ import math
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import JointState, Range, Temperature
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from car_interface.common.errors import ConfigError
@@ -40,7 +41,8 @@ class MeasurementPublisher:
 
     def __init__(self, config: HubConfig, inbox):
         self._baud = config.baud
-        odom_frame, base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
+        self._odom_frame, self._base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
+        self._joint_names = [config.frame(name) for name in WHEEL_JOINTS]
         self._sonar_frames = [config.frame(f"sonar_{name}") for name in SONARS]
         self._measurements = Measurements(config.measurement, self._on_motion)
         self.ranging = self._measurements.ranging
@@ -51,11 +53,7 @@ class MeasurementPublisher:
         self._pending = None  # the newest motion, while it isn't published
         self.speed_mps = 0.0
         self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
-        # The frequent messages are reused: rospy serialises them as it publishes them.
-        self._odom_msg = OdometryMessage(child_frame_id=base_frame)
-        self._odom_msg.header.frame_id = odom_frame
-        self._tf_msg = _transform(inbox.clocks.ros_now(), odom_frame, base_frame, 0.0, 0.0, 0.0)
-        self._joint_msg = JointState(name=[config.frame(name) for name in WHEEL_JOINTS])
+        # It is reused: rospy serialises a message as it publishes it.
         self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=config.field_of_view_rad,
                                 min_range=config.ranging.min_range_m, max_range=config.ranging.max_range_m)
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
@@ -64,7 +62,7 @@ class MeasurementPublisher:
         self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
         self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if config.publish_tf else None
         advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True).publish(
-            [_transform(inbox.clocks.ros_now(), base_frame, frame, *mount)
+            [_transform(inbox.clocks.ros_now(), self._base_frame, frame, *mount)
              for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
@@ -129,16 +127,11 @@ class MeasurementPublisher:
         if has_subscribers(self._odometry):
             self._odometry.publish(self._odometry_message(motion, stamp))
         if self._tf is not None and has_subscribers(self._tf):
-            tf_msg = self._tf_msg
-            tf_msg.header.stamp = stamp
-            tf_msg.transform.translation.x, tf_msg.transform.translation.y = motion.x_m, motion.y_m
-            _set_yaw(tf_msg.transform.rotation, motion.yaw_rad)
-            self._tf.publish([tf_msg])
+            self._tf.publish([_transform(stamp, self._odom_frame, self._base_frame, motion.x_m, motion.y_m,
+                                         motion.yaw_rad)])
         if has_subscribers(self._joints):
-            joints = self._joint_msg
-            joints.header.stamp = stamp
-            joints.position, joints.velocity = motion.wheel_angles_rad, motion.wheel_speeds_radps
-            self._joints.publish(joints)
+            self._joints.publish(header=Header(stamp=stamp), name=self._joint_names, position=motion.wheel_angles_rad,
+                                 velocity=motion.wheel_speeds_radps)
 
     @property
     def reports(self) -> dict:
@@ -179,11 +172,11 @@ class MeasurementPublisher:
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
 
     def _odometry_message(self, motion, stamp):
-        message = self._odom_msg
-        message.header.stamp = stamp
+        message = OdometryMessage(header=Header(stamp=stamp, frame_id=self._odom_frame),
+                                  child_frame_id=self._base_frame)
         pose, twist = message.pose.pose, message.twist
         pose.position.x, pose.position.y = motion.x_m, motion.y_m
-        _set_yaw(pose.orientation, motion.yaw_rad)
+        pose.orientation = _rotation(motion.yaw_rad)
         (xx, xy, xa), (_, yy, ya), (_, _, aa) = motion.pose_covariance
         message.pose.covariance = _covariance(xx, xy, xa, yy, ya, aa)
         twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
@@ -192,15 +185,12 @@ class MeasurementPublisher:
 
 
 def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
-    message = TransformStamped(child_frame_id=child)
-    message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-    message.header.stamp, message.header.frame_id = stamp, parent
-    _set_yaw(message.transform.rotation, yaw_rad)
-    return message
+    return TransformStamped(Header(stamp=stamp, frame_id=parent), child,
+                            Transform(Vector3(x_m, y_m, 0.0), _rotation(yaw_rad)))
 
 
-def _set_yaw(rotation, yaw_rad):
-    rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
+def _rotation(yaw_rad):
+    return Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
 
 
 def _covariance(xx, xy, xa, yy, ya, aa):

@@ -89,9 +89,6 @@ class TeensySensorHub:
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
         error = advertise("teensy_error", Error, self._inbox, QUEUE_SIZE).publish
         measurements = self._measurements
-        # Frequent messages are reused: rospy serialises them as it publishes them.
-        wheel_msg, distance_msg = Wheel(OneWheel(), OneWheel()), Distance()
-        left, right = wheel_msg.left, wheel_msg.right
 
         def on_pong(event, received_ns):
             record, answer = event
@@ -104,16 +101,13 @@ class TeensySensorHub:
 
         def on_wheels(record, received_ns):
             if has_subscribers(wheel):
-                left.speed, left.direction, left.when, left.dist, left.dist_abs = record.left
-                right.speed, right.direction, right.when, right.dist, right.dist_abs = record.right
-                wheel.publish(wheel_msg)
+                wheel.publish(OneWheel(*record.left), OneWheel(*record.right))
             if measurements:
                 measurements.wheels(record, received_ns)
 
         def on_sonar(record, received_ns):
             if has_subscribers(distance):
-                distance_msg.sensor, distance_msg.distance, distance_msg.when = record
-                distance.publish(distance_msg)
+                distance.publish(*record)
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)

@@ -45,8 +45,7 @@ class SerialLink:
     def __init__(self, port: str, baud: int):
         self._path = port
         self._baud = baud
-        self._serial = None
-        self._fd = None  # its file descriptor, while it's open
+        self._serial = None  # pyserial's, while it's open
         self._refusals = 0  # of a busy port, since it was last opened
         self._holders = []
 
@@ -60,9 +59,9 @@ class SerialLink:
         Raises:
             PortError: it isn't open.
         """
-        if self._fd is None:
+        if self._serial is None:
             raise PortError(self._path, FAILING, "the port is not open", "It is opened again as soon as that works")
-        return self._fd
+        return self._serial.fileno()
 
     def open(self) -> None:
         """Open the port, and discard what arrived before.
@@ -72,8 +71,7 @@ class SerialLink:
         """
         try:
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
-            self._fd = self._serial.fileno()
-            _distinguish_silence_from_hangup(self._fd)
+            _distinguish_silence_from_hangup(self._serial.fileno())
         except (OSError, ValueError, termios.error) as error:
             self.close()
             raise PortError(self._path, *self._explain(error)) from error
@@ -120,12 +118,12 @@ class SerialLink:
         if self._serial is not None:
             with suppress(OSError):  # it was pulled out; there is nothing left to close
                 self._serial.close()
-            self._serial = self._fd = None
+            self._serial = None
 
     def _close_failed(self, error):
         with suppress(OSError, termios.error):  # it was pulled out, and has no unsent bytes
             # Close would wait for unsent bytes, with some drivers for half a minute.
-            termios.tcflush(self._fd, termios.TCOFLUSH)
+            termios.tcflush(self._serial.fileno(), termios.TCOFLUSH)
         self.close()
         return PortError(self._path, FAILING, f"the port was lost ({error})",
                          "Check its cable and power; it is opened again as soon as it is back")
