@@ -17,6 +17,7 @@ from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, decode_yaml,
 
 Value = Union[int, float, str, Sequence[Union[int, float]]]  # bool is an int
 Values = Mapping[str, Value]  # by name; one inside a mapping as ``servo/neutral``
+SCALAR, LIST, MAPPING = "scalar", "sequence", "mapping"  # the kinds of PyYAML's nodes
 COMMENT_BEHIND = re.compile(r"[ \t]+#[^\r\n]*")
 
 
@@ -115,7 +116,7 @@ def _with_names(text, values, path):
         mapping = _find(root, outer.split("/"))
         if mapping is None and "/" not in outer:
             text += ("" if text.endswith("\n") else "\n") + f"{outer}:\n  {inner}: 0\n"
-        elif mapping is not None and getattr(mapping, "flow_style", True) is False:
+        elif mapping is not None and mapping.id == MAPPING and not mapping.flow_style:
             key, last = mapping.value[-1]
             end = text.find("\n", last.end_mark.index - (last.end_mark.column == 0))
             end = len(text) if end < 0 else end
@@ -136,12 +137,8 @@ def _merged(content, values):
 def _find(node, names):
     """Return the node of a value, or None."""
     for name in names:
-        pairs = getattr(node, "value", None)
-        node = None
-        if isinstance(pairs, list) and all(isinstance(pair, tuple) for pair in pairs):
-            for key, value in pairs:
-                if key.value == name:
-                    node = value
+        pairs = node.value if node is not None and node.id == MAPPING else ()
+        node = next((value for key, value in pairs if key.value == name), None)
     return node
 
 
@@ -150,14 +147,13 @@ def _edits(node, value):
 
     One number stands for a list of equal ones.
     """
-    elements = _elements(node)
-    if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
-        return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
+    if node.id == LIST and isinstance(value, (list, tuple)) and len(node.value) == len(value):
+        return [edit for element, number in zip(node.value, value) for edit in _edits(element, number)]
     if isinstance(value, (str, bool)):
         is_same = node.value == _format(value)
     else:
         numbers = value if isinstance(value, (list, tuple)) else [value]
-        is_same = elements is None and all(number == _number(node) for number in numbers)
+        is_same = node.id == SCALAR and all(number == scalar_number(node.value) for number in numbers)
     return [] if is_same else [(node.start_mark.index, node.end_mark.index, _format(value))]
 
 
@@ -166,16 +162,6 @@ def _comments_behind(text, edits, nodes):
     ends = {end for _, end, _ in edits} | {node.end_mark.index for node in nodes}
     found = (COMMENT_BEHIND.match(text, end) for end in ends)
     return [(match.start(), match.end(), "") for match in found if match]
-
-
-def _elements(node):
-    """Return the elements of a list; None for anything else."""
-    is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
-    return node.value if is_list else None
-
-
-def _number(node):
-    return scalar_number(node.value) if isinstance(node.value, str) else None
 
 
 def _format(value):
@@ -190,12 +176,11 @@ def _format(value):
 
 def _content(node):
     """Return the content of a document as Python values: what is a number to a node as a number, the rest as texts."""
-    elements = _elements(node)
-    if elements is not None:
-        return [_content(element) for element in elements]
-    if isinstance(node.value, list):
+    if node.id == LIST:
+        return [_content(element) for element in node.value]
+    if node.id == MAPPING:
         return {str(key.value): _content(value) for key, value in node.value}
-    number = _number(node)
+    number = scalar_number(node.value)
     return node.value if number is None else number
 
 

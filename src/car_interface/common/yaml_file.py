@@ -79,14 +79,11 @@ def scalar_number(text: str) -> float | None:
         return finite_number(text) if tag == _tag("str") else None
     except (ConfigError, yaml.YAMLError):
         return None
-    finally:
-        loader.dispose()
 
 
 def _read(text, path, result):
     """Return ``result`` of the loader and the root of a text."""
     import yaml
-    loader = None
     try:
         with within(path):  # the loader's names the lines alone
             loader = _loader_class()(text)
@@ -102,9 +99,6 @@ def _read(text, path, result):
         problem = ", ".join(part for part in (error.context, error.problem) if part)
         raise ConfigError(f"{path}, line {mark.line + 1}" if mark else path, None, "parameters in YAML",
                           f"is no YAML: {' '.join(problem.split())}") from error
-    finally:
-        if loader is not None:
-            loader.dispose()
     raise ConfigError(path, None, ACCEPTED, "has no such lines")
 
 
