@@ -155,18 +155,15 @@ def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], A
 
     An emergency stop may be latched and sent once (``e_stop_timeout`` 0), a deadman is repeated.
     """
-    subscribe_changes("/e_stop", Bool, inbox,
-                      lambda message, now_ns: arbiter.update_e_stop(message.data, now_ns), on_change,
-                      takes_latched=True)
-    # A topic of its own: a false that somebody repeats on /e_stop must not end a stop by phone. phone_drive keeps its
-    # stop as a parameter, too, which is there before its first message.
+    # phone_drive keeps its stop as a parameter, too, which is there before its first message.
     if inbox.graph.parameter(inbox.resolve_name("phone_drive/e_stop"), False):
         arbiter.await_phone_e_stop()
-    subscribe_changes("phone/e_stop", Bool, inbox,
-                      lambda message, now_ns: arbiter.update_phone_e_stop(message.data, now_ns), on_change,
-                      takes_latched=True)
-    subscribe_changes("/teleop_logi/human_in_loop", Bool, inbox,
-                      lambda message, now_ns: arbiter.update_human(message.data, now_ns), on_change)
+    # A topic of its own: a false that somebody repeats on /e_stop must not end a stop by phone.
+    for topic, update, takes_latched in (("/e_stop", arbiter.update_e_stop, True),
+                                         ("phone/e_stop", arbiter.update_phone_e_stop, True),
+                                         ("/teleop_logi/human_in_loop", arbiter.update_human, False)):
+        subscribe_changes(topic, Bool, inbox, lambda message, now_ns, update=update: update(message.data, now_ns),
+                          on_change, takes_latched)
 
 
 def duty_vector(duties: Sequence[int]) -> Int32MultiArray:
