@@ -229,7 +229,7 @@ class TeensyFirmware:
         return now_ns
 
     def _report_echo(self, now_ns: int):
-        echo = self._sonars.take_echo()
+        echo, self._sonars.echo = self._sonars.echo, None
         if echo is None:
             return
         packet = self._transmitter.new_packet(uart.SONAR_STATUS)

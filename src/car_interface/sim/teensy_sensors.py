@@ -218,7 +218,7 @@ class SonarArray:
         self._is_listening = False
         self._start_us = 0
         self._timer_ns = NEVER_NS
-        self._echo: tuple[int, int, int] | None = None  # sensor, µs, millis
+        self.echo: tuple[int, int, int] | None = None  # to be reported, once: sensor, µs, millis
         self._wait: Deadline | None = None  # of the wait for the next ping
         self._attempt: Deadline | None = None  # of the next attempt at a first ping that failed
         self._retry: bytearray | None = None  # the packet by which the firmware reminds itself
@@ -229,7 +229,7 @@ class SonarArray:
     @property
     def due_ns(self) -> int:
         """Return when the loop has something to do here."""
-        if self._echo is not None or self._retry is not None:
+        if self.echo is not None or self._retry is not None:
             return AT_ONCE_NS
         if not self.running:
             return NEVER_NS
@@ -331,23 +331,18 @@ class SonarArray:
         """Handle a pin that falls, or the timer's end."""
         present = self._sequence[self._index]
         if now_ns >= self._timer_ns:
-            self._echo = present, 0, self._clock.millis(now_ns)
+            self.echo = present, 0, self._clock.millis(now_ns)
         else:
             self._attached = {number for number in self._attached if self._sensors[number].fall_ns > now_ns}
             if self._is_listening:
                 echo_us = self._clock.micros(now_ns) - self._start_us - PING_OVERHEAD_US & 0xFFFF
-                self._echo = present, echo_us, self._clock.millis(now_ns)
+                self.echo = present, echo_us, self._clock.millis(now_ns)
         self._attached.discard(present)
         self._is_listening = False
         self._timer_ns = NEVER_NS
         self.schedule()
 
-    # Echoes
-
-    def take_echo(self) -> tuple[int, int, int] | None:
-        """Return (sensor, echo µs, millis) once."""
-        echo, self._echo = self._echo, None
-        return echo
+    # What is set from outside
 
     def wait(self, now_ns: int):
         self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)

@@ -269,7 +269,6 @@ class OutgoingLine:
 
     def __init__(self):
         self._bytes: deque[tuple[int, int]] = deque()  # when its last bit is out, and which it is
-        self._saved = b""  # from before a cut
         self._free_ns = AT_ONCE_NS
 
     def write(self, data: bytes, now_ns: int):
@@ -289,15 +288,14 @@ class OutgoingLine:
 
     def collect(self, now_ns: int) -> bytes:
         """Return the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
-        out, self._saved = bytearray(self._saved), b""
+        out = bytearray()
         while self._bytes and self._bytes[0][0] <= now_ns:
             out.append(self._bytes.popleft()[1])
         return bytes(out)
 
     def cut(self, now_ns: int):
         """Lose the bytes that haven't left the wire yet."""
-        self._saved = self.collect(now_ns)
-        self._bytes.clear()
+        self._bytes = deque(each for each in self._bytes if each[0] <= now_ns)
         self._free_ns = now_ns
 
 
