@@ -64,8 +64,7 @@ class Pinger:
 
     def next_event_ns(self) -> int:
         """Return when the next ping is due, or the oldest one has waited too long."""
-        oldest_ns, _, _ = next(iter(self._waiting.values()), (None, 0, ""))
-        return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
+        return min([self.due_ns, *(sent_ns + ANSWER_WITHIN_NS for sent_ns, _, _ in self._waiting.values())])
 
     def expire(self, now_ns: int, is_alive: bool = True) -> list[int]:
         """Give up on pings that have waited too long and return their timestamps. May change ``checksum``.
