@@ -15,7 +15,7 @@ import struct
 from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
 from car_interface.common.own_files import check_owner, check_socket, open_own
 
-READ, WRITE, FAULT, LOG, OBSERVE = OPERATIONS = range(5)
+READ, WRITE, FAULT, LOG, OBSERVE = range(5)  # operations
 REQUEST = struct.Struct("=BBBd")  # operation, address, register; the value of a fault
 ANSWER = struct.Struct("=i")
 OUTPUTS = struct.Struct("=16H")  # what an observer is sent: the counts, 0..4096, for which each pin is high

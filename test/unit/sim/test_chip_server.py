@@ -172,10 +172,11 @@ def request(operation, register=0, data=b"", value=0.0, address=ADDRESS):
 
 
 MALFORMED = [
-    (b"\x00", errno.EPROTO), (request(WRITE, data=bytes(5000)), errno.EMSGSIZE), (request(200), errno.EOPNOTSUPP),
+    (b"\x00", errno.EIO), (request(WRITE, data=bytes(5000)), errno.EINVAL), (request(200), errno.EOPNOTSUPP),
+    (request(FAULT, 9), errno.EIO),
     (request(READ, data=b"\0"), errno.EINVAL), (request(READ, data=b"\x21"), errno.EINVAL),
     (request(WRITE), errno.EINVAL), (request(WRITE, data=bytes(33)), errno.EINVAL),
-    (request(FAULT, 0, value=math.nan), errno.EINVAL), (request(FAULT, 4, value=128.0), errno.EINVAL),
+    (request(FAULT, 0, value=math.nan), errno.EIO),
     (request(LOG, data=b"/tmp/a\0b"), errno.EINVAL), (request(LOG, data=b"/tmp"), errno.EACCES),
     (request(LOG, data=b"/nowhere/\xff\xfe"), errno.ENOENT),
     (request(READ, data=b"\1", address=255), errno.EREMOTEIO),
