@@ -129,10 +129,10 @@ def test_reboot_while_unplugged_is_found_though_the_teensy_has_been_on_for_as_lo
 @pytest.mark.parametrize("noise, read, rests", [(513, 1024, True), (512, 1024, False), (1023, 1023, False)])
 def test_hub_leaves_a_port_alone_that_brought_more_noise_than_frames_at_once(noise, read, rests):
     watches = []
-    hub = SimpleNamespace(_clocks=SimpleNamespace(now_ns=lambda: 20_000_000), _watch_port=watches.append,
-                          _rest_until_ns=0)
+    hub = SimpleNamespace(_clocks=SimpleNamespace(now_ns=lambda: 20_000_000), _rest_until_ns=0,
+                          _inbox=SimpleNamespace(watch=lambda what, fd: watches.append(fd)))
     TeensySensorHub._note_noise(hub, noise, 0, read, 9_000_000)
-    assert (watches, hub._rest_until_ns) == (([False], 31_000_000) if rests else ([], 0))
+    assert (watches, hub._rest_until_ns) == (([None], 31_000_000) if rests else ([], 0))
 
 
 def test_fault_and_recovery_are_logged_once_each(line):
