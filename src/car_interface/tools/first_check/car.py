@@ -77,8 +77,10 @@ class Car:
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
-        self.reports: dict[str, list[float]] = {name: [] for name in SONARS}  # all of a sonar's ranges, in m
-        self.pulses = [0, 0]  # of the left and the right rear wheel since the start, forward ones less backward ones
+        # Since the question was asked: all of a sonar's ranges, in m, and the pulses of the left and the right rear
+        # wheel, forward ones less backward ones.
+        self.reports: dict[str, list[float]] = {name: [] for name in SONARS}
+        self.pulses = [0, 0]
         self.neutral = setup.throttle and setup.throttle.neutral  # as tuned by now; ``None`` = no throttle_arb
         # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
         # and whether a push drives forward.

@@ -101,6 +101,7 @@ class FirstCheck:
     def _ask(self, index):
         """Ask a question by what is known of the car by now; behind the last one, none."""
         self._index, self._warning = index, ""
+        self.car.reports, self.car.pulses = {name: [] for name in SONARS}, [0, 0]
         steering, throttle = self.learned()[STEERING], self.learned()[THROTTLE]
         direction = self._results[self._titles.index(driving.ThrottleDirection.title)]
         self.car.is_exchanged, self.car.center = "exchanged" in steering, steering.get("center_request", 0.0)

@@ -236,12 +236,8 @@ class NeutralDuty(_ByStick):
            "until they stand, and a little further.")
     help, keys = "Y they stand   + or - shift the neutral   N they don't stop", f"+-y{ENTER}n"
 
-    def __init__(self, car):
-        super().__init__(car)
-        self._pulses = sum(map(abs, car.pulses))
-
     def seen(self, now_ns):
-        turned = sum(map(abs, self.car.pulses)) - self._pulses
+        turned = sum(map(abs, self.car.pulses))
         return (f"{super().seen(now_ns)}; the neutral is {self.car.neutral}"
                 + (f"; the sensors counted {turned} pulses" if turned else ""))
 

@@ -156,7 +156,7 @@ class WheelSensor(Question):
 
     def __init__(self, car, side: int):
         super().__init__(car)
-        self._side, self._before = side, tuple(car.pulses)
+        self._side = side
         self.title = f"the sensor of the {SIDES[side]} rear wheel"
         self.ask = (f"Let go of the gamepad. Turn the {SIDES[side].upper()} rear wheel by hand, one full turn, as "
                     "when the car drives FORWARD. It doesn't matter if the other one turns back.")
@@ -165,13 +165,10 @@ class WheelSensor(Question):
         return "" if not self.car.wheels.is_stale(now_ns) else "no wheel is heard: is the Teensy plugged in?"
 
     def seen(self, now_ns):
-        return ", ".join(f"{name} {count:+d}" for name, count in zip(SIDES, self._counts())) + " pulses"
-
-    def _counts(self):
-        return [now - before for now, before in zip(self.car.pulses, self._before)]
+        return ", ".join(f"{name} {count:+d}" for name, count in zip(SIDES, self.car.pulses)) + " pulses"
 
     def answer(self, key, now_ns):
-        ours, other = self._counts()[self._side], self._counts()[1 - self._side]
+        ours, other = self.car.pulses[self._side], self.car.pulses[1 - self._side]
         expected, seen = self.setup.pulses_per_revolution, self.seen(now_ns)
         return first(
             (self.car.held_mode(now_ns) is not None, "let go of the deadman first, and begin again with A"),
@@ -200,7 +197,6 @@ class Sonar(Question):
         self.title = f"the sonar {_words(name)}"
         self.ask = (f"Hold your hand 20 cm in front of the sonar {_words(name).upper()}, and nothing near the others. "
                     "It goes on by itself.")
-        self._begun = {name: len(reports) for name, reports in car.reports.items()}
 
     def missing(self, now_ns):
         is_heard = any(not timed.is_stale(now_ns) for timed in self.car.ranges.values())
@@ -213,13 +209,9 @@ class Sonar(Question):
         first = "; take the hand away first" if timed.was_received and timed.value < NEAR_M and not near else ""
         return f"{own}; near: {', '.join(near) or 'nothing'}{first}"
 
-    def _reports(self, name):
-        """Return a sonar's ranges since the question was asked."""
-        return self.car.reports[name][self._begun[name]:]
-
     def _near(self, name):
         """Return how many of a sonar's newest reports see something near, after one that saw nothing there."""
-        reports = self._reports(name)
+        reports = self.car.reports[name]
         near = list(takewhile(lambda range_m: range_m < NEAR_M, reversed(reports)))
         return len(near) if len(near) < len(reports) else 0
 
@@ -239,7 +231,7 @@ class Sonar(Question):
                           f"exchange the plugs of {_words(self.name)} and {others[0]}")
         if timed.is_stale(now_ns):
             return broken("it isn't heard", "look at its plug, and at sonar_sequence in teensy_sensor_hub.yaml")
-        if all(range_m < NEAR_M for range_m in (timed.value, *self._reports(self.name))):
+        if all(range_m < NEAR_M for range_m in (timed.value, *self.car.reports[self.name])):
             return broken(f"it always sees something: {_range_text(timed.value)}",
                           "look for what is in its cone: the box, a cable, the body")
         return broken("it sees no hand", "look at its plug (trigger and echo), and at its aim")
