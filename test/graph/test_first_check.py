@@ -4,8 +4,6 @@ import shutil
 from functools import partial
 
 import pytest
-from dynamic_reconfigure.encoding import encode_config
-from dynamic_reconfigure.srv import ReconfigureRequest
 from sensor_msgs.msg import Range
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car
@@ -41,8 +39,7 @@ class Box(Car):
 
     def begin(self, run_s=0.3):
         self.program = self.graph.add(
-            partial(FirstCheckNode, text=self.terminal, keys=self.terminal, kill=self.kill, request=self.tune),
-            "first_check")
+            partial(FirstCheckNode, text=self.terminal, keys=self.terminal, kill=self.kill), "first_check")
         self.graph.run(run_s)
         return self
 
@@ -52,9 +49,6 @@ class Box(Car):
         self.graph.nodes[name].kill()
         self.graph.after(1.0, self.graph.nodes[name].start)
         return ""
-
-    def tune(self, namespace, values):
-        self.graph.begin_call(f"{namespace}/set_parameters", ReconfigureRequest(encode_config(values)))
 
     @property
     def asks(self):
@@ -273,19 +267,23 @@ def test_neutral_is_given_back_too_where_only_another_file_can_be_written(tmp_pa
 
 @pytest.mark.once
 def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path):
-    car, tuned, waiting = Box(tmp_path), [], []
-    car.tune = lambda namespace, values: tuned.append(values["neutral"])
-    car.begin().skip_to("the ESC's neutral")
-    car.program.node._graph.start_thread = lambda target, name: waiting.append(target)
+    car, tuned, waiting = Box(tmp_path).begin(), [], []
+
+    def call(service, service_type, request, on_done):
+        assert service == "/throttle_arb/servo/set_parameters"
+        tuned.append([(each.name, each.value) for each in request.config.ints])
+        waiting.append(lambda: on_done(request, ""))
+    car.skip_to("the ESC's neutral")
+    car.program.inbox.graph.call = call
     car.push(0.0, 0.3)
     car.type("+++", 0.1)
-    assert len(waiting) == 1
+    assert tuned == [[("neutral", 4920)]]
     waiting.pop()()
     car.graph.run(0.2)
     waiting.pop()()
-    assert tuned == [4920, 4930]
+    assert tuned == [[("neutral", 4920)], [("neutral", 4930)]]
     car.type("q", 0.3)
-    assert tuned == [4920, 4930, 4915]
+    assert tuned[2:] == [[("neutral", 4915)]]
 
 
 @pytest.mark.once

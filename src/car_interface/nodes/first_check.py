@@ -63,6 +63,7 @@ With keyboard_drive in another terminal: M is the manual deadman, P the
 autonomous one, A and D the left stick, W and S the right one, E and C the right
 one slowly."""
 KEYS = {MANUAL: "key M", AUTONOMOUS: "key P", SLOWER: "key -"}  # of keyboard_drive
+SERVO = "throttle_arb/servo"  # where it is tuned
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
@@ -87,13 +88,11 @@ class FirstCheckNode:
     Args:
         text, keys: the terminal; ``None`` = the one that the program runs in.
         kill: ends a node's process by its name, and returns why it can't; empty: it did.
-        request: called with a namespace and values by name, for the node's own live tuning.
     """
 
-    def __init__(self, params, inbox, text=None, keys=None, kill=kill_node, request=request_values):
+    def __init__(self, params, inbox, text=None, keys=None, kill=kill_node):
         params.finish()
-        graph = self._graph = inbox.graph
-        self._inbox, self._request = inbox, request
+        graph, self._inbox = inbox.graph, inbox
         self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
         setup = read_setup(graph.parameter, self._folder)
         self._check, self._start_neutral = FirstCheck(setup, kill), setup.throttle and setup.throttle.neutral
@@ -161,9 +160,10 @@ class FirstCheckNode:
         self._steer(None)
         self._keys.restore()
         self._text.keep()
-        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
+        self._await_tuning()
         if self._neutral != self._start_neutral:
-            self._have_tuned(self._start_neutral)
+            self._tune(self._start_neutral)
+            self._await_tuning()
 
     def _wait(self, now_ns, typed):
         car = self._check.car
@@ -181,7 +181,8 @@ class FirstCheckNode:
             raise EndedEarly(f"{check.refusal}. Nothing is written")
         question, is_held = check.question, car.held_mode(now_ns) == AUTONOMOUS
         self._steer(question.steering if question and is_held else None)
-        self._tune()
+        if car.neutral != self._neutral and not self._is_tuning:  # one after the other, the newest last
+            self._tune(car.neutral)
         if question is None:
             self._summarize()
             self._printed = ""  # P asks the last one again
@@ -199,18 +200,18 @@ class FirstCheckNode:
             self._steering.publish(Float32(request or 0.0))
         self._asked = request is not None
 
-    def _tune(self):
-        """Have throttle_arb take another neutral, or its own again; one after the other, the newest last."""
-        wanted = self._check.car.neutral
-        if wanted != self._neutral and not self._is_tuning:
-            self._neutral, self._is_tuning = wanted, True
-            self._graph.start_thread(partial(self._have_tuned, wanted), "tuning")
+    def _tune(self, neutral):
+        """Have throttle_arb take a neutral."""
+        self._neutral, self._is_tuning = neutral, True
+        request_values(self._inbox, SERVO, {"neutral": neutral}, self._on_tuned)
 
-    def _have_tuned(self, neutral):
-        try:
-            self._request(self._inbox.resolve_name("throttle_arb/servo"), {"neutral": neutral})
-        finally:
-            self._is_tuning = False
+    def _on_tuned(self, accepted, problem):
+        if accepted is None:
+            rospy.logwarn("%s can't be tuned: %s", self._inbox.resolve_name(SERVO), problem)
+        self._is_tuning = False
+
+    def _await_tuning(self):
+        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
 
     # --- its end ---
 

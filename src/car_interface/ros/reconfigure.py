@@ -129,22 +129,17 @@ class TunedNode:
     """Another node's tunable values, as rqt_reconfigure sees and changes them.
 
     Attributes:
+        namespace: of dynamic_reconfigure's parameters.
         values, low, high: by name; empty until the other node has sent them.
     """
 
     def __init__(self, inbox: Inbox, namespace: str):
-        self._inbox, self._namespace = inbox, namespace
+        self.namespace = namespace
         self.values: dict[str, int] = {}
         self.low: dict[str, int] = {}
         self.high: dict[str, int] = {}
         subscribe(f"{namespace}/parameter_descriptions", ConfigDescription, inbox, self._on_description, wakes=False)
         subscribe(f"{namespace}/parameter_updates", Config, inbox, self._on_values, wakes=False)
-
-    def request(self, values: Mapping[str, int], on_done: Callable[[Mapping[str, int] | None, str], None]) -> None:
-        """Have it tune values; ``on_done(accepted values or None, problem)`` is called in another thread."""
-        self._inbox.graph.call(
-            self._inbox.resolve_name(f"{self._namespace}/set_parameters"), Reconfigure, _request(values),
-            lambda answer, problem: on_done(None if answer is None else _integers(answer.config), problem))
 
     def _on_description(self, description, now_ns):
         self.low, self.high = _integers(description.min), _integers(description.max)
@@ -157,16 +152,15 @@ def _integers(config):
     return {parameter.name: parameter.value for parameter in config.ints}
 
 
-def _request(values):
-    return ReconfigureRequest(encode_config(values))
+def request_values(inbox: Inbox, namespace: str, values: Mapping[str, int],
+                   on_done: Callable[[Mapping[str, int] | None, str], None]) -> None:
+    """Have another node tune its values, as rqt_reconfigure does.
 
-
-def request_values(namespace: str, values: Mapping[str, int]) -> None:
-    """Have another node tune its values, as rqt_reconfigure does, and wait for that."""
-    try:
-        rospy.ServiceProxy(f"{namespace}/set_parameters", Reconfigure)(_request(values))
-    except (rospy.ServiceException, OSError) as error:
-        rospy.logwarn("%s can't be tuned: %s", namespace, error)
+    ``on_done(accepted values or None, problem)`` is called in another thread.
+    """
+    inbox.graph.call(inbox.resolve_name(f"{namespace}/set_parameters"), Reconfigure,
+                     ReconfigureRequest(encode_config(values)),
+                     lambda answer, problem: on_done(None if answer is None else _integers(answer.config), problem))
 
 
 def _save(settings, values):

@@ -33,6 +33,7 @@ from car_interface.nodes.phone_drive.car_state import CarState
 from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig, announce, own_addresses
 from car_interface.nodes.phone_drive.programs import CalibrationProgram, Recordings
 from car_interface.ros.diagnostics import OK, Diagnostics
+from car_interface.ros.reconfigure import request_values
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise
 from car_interface.teleop.handover import PHONE_TOPIC
@@ -191,7 +192,7 @@ class PhoneDrive:
         def on_done(accepted, problem):
             self._inbox.put(self._on_answer, (connection, {"refused": problem} if accepted is None else {
                 "done": f"{message['name']} is {accepted.get(name)} now"}))
-        tuned.request({name: message["value"]}, on_done)
+        request_values(self._inbox, tuned.namespace, {name: message["value"]}, on_done)
 
     def _do_save(self, connection, message, now_ns):
         self._calibration.check_saving()
