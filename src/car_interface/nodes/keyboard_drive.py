@@ -124,7 +124,6 @@ class KeyboardDrive:
         teleop_logi = Params(inbox.graph.parameter("teleop_logi", {}))
         self._config = read_all(params, KeyboardConfig, default=read(teleop_logi, KeyboardConfig))
         self._inbox, self._clocks = inbox, inbox.clocks
-        self._fault = ""
         self._device = inbox.graph.parameter("pca9685/device", None)
         devices = self._config.input_devices
         self._keyboards = make_keyboards("" if devices == NO_DEVICES else devices)
@@ -153,8 +152,6 @@ class KeyboardDrive:
     def step(self, now_ns):
         """Read the keys; publish when it is time."""
         self._inbox.dispatch()
-        if self._fault:
-            raise CarInterfaceError(self._fault)
         if now_ns >= self._watch_ns:
             self._watch_ns = math.inf
             self._inbox.work(self._look_at_device, self._on_device)
@@ -179,7 +176,7 @@ class KeyboardDrive:
         if typed is None or events is None or was_held_up:
             self._keyboard.release_all()
             if self._keys.is_closed():
-                self._fault = "its terminal was closed"
+                raise CarInterfaceError("its terminal was closed")
             return
         for code, is_pressed in events:
             (self._keyboard.press if is_pressed else self._keyboard.release)(code, now_ns)
@@ -242,8 +239,8 @@ class KeyboardDrive:
         """Notice when a virtual car was replaced by a real one on the same master."""
         self._watch_ns = now_ns + WATCH_NS
         if device != self._device:
-            self._fault = (f"pca9685's device was {self._device} when this node started and is {device} now: start it "
-                           "again")
+            raise CarInterfaceError(f"pca9685's device was {self._device} when this node started and is {device} now: "
+                                    "start it again")
 
 
 def _check_can_drive(inbox, devices, device, has_keyboard):
