@@ -129,13 +129,11 @@ class CarDisplay:
     def _arrow(self, curvature_per_m):
         nose_m = self._wheelbase_m + OVERHANG_M
         path = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
-        line = self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0))
-        line.points = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in path]
-        head = self._marker("steering", 1, Marker.ARROW, ARROW, Vector3(0.001, 0.12, ARROW_HEAD_M))
-        x_m, y_m, heading_rad = path[-1]
-        head.points = [line.points[-1], Point(x_m + ARROW_HEAD_M * math.cos(heading_rad),
-                                              y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)]
-        return [line, head]
+        points, (x_m, y_m, heading_rad) = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in path], path[-1]
+        tip = Point(x_m + ARROW_HEAD_M * math.cos(heading_rad), y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)
+        return [self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0), points=points),
+                self._marker("steering", 1, Marker.ARROW, ARROW, Vector3(0.001, 0.12, ARROW_HEAD_M),
+                             points=[points[-1], tip])]
 
     def _words(self, steering, throttle):
         """Write who steers and who drives behind the car."""
@@ -147,40 +145,33 @@ class CarDisplay:
             lines.append(f"drives: {source_name(throttle.source)}, {speed}throttle {throttle.granted:.2f}")
         if not lines:
             return self._nothing("words", 0)
-        marker = self._marker("words", 0, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
-                              _at(-BEHIND_M, 0.0, ABOVE_M))
-        marker.text = "\n".join(lines)
-        return marker
+        return self._marker("words", 0, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
+                            _at(-BEHIND_M, 0.0, ABOVE_M), text="\n".join(lines))
 
     def _fan(self, index, measured):
         """Draw what a sonar looked at: up to its echo or, without one, up to its range."""
         radius_m = 0.0 if measured is None else min(measured.range, measured.max_range)
         if not 0 < radius_m < math.inf or not math.isfinite(measured.field_of_view):  # nor is it NaN
             return self._nothing("sonars", index)
-        has_echo = measured.range < measured.max_range
-        marker = self._marker("sonars", index, Marker.TRIANGLE_LIST, ECHO if has_echo else NO_ECHO,
-                              Vector3(1.0, 1.0, 1.0), frame=measured.header.frame_id)
         angles = [measured.field_of_view * (step / FAN_STEPS - 0.5) for step in range(FAN_STEPS + 1)]
         edge = [Point(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
-        for one, other in zip(edge, edge[1:]):
-            marker.points += [Point(), one, other]
-        return marker
+        return self._marker("sonars", index, Marker.TRIANGLE_LIST,
+                            ECHO if measured.range < measured.max_range else NO_ECHO, Vector3(1.0, 1.0, 1.0),
+                            frame=measured.header.frame_id,
+                            points=[corner for sides in zip(edge, edge[1:]) for corner in (Point(), *sides)])
 
     def _nothing(self, ns, index):
         return Marker(header=Header(frame_id=self._base_frame), ns=ns, id=index, action=Marker.DELETE)
 
     def _trail_marker(self):
-        marker = self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
-                              frame=self._odom_frame)
-        marker.points = list(self._trail)
-        if len(marker.points) < 2:  # rviz reports that as an error
-            marker.action = Marker.DELETE
-        return marker
+        action = Marker.DELETE if len(self._trail) < 2 else Marker.ADD  # rviz reports such a line as an error
+        return self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
+                            frame=self._odom_frame, action=action, points=list(self._trail))
 
-    def _marker(self, ns, index, kind, color, scale, pose=None, frame=None):
+    def _marker(self, ns, index, kind, color, scale, pose=None, frame=None, action=Marker.ADD, **content):
         header = Header(frame_id=frame or self._base_frame)  # with no time: where the frame is now
-        return Marker(header=header, ns=ns, id=index, type=kind, action=Marker.ADD, pose=pose or _at(0.0, 0.0, 0.0),
-                      scale=scale, color=color, frame_locked=True)
+        return Marker(header=header, ns=ns, id=index, type=kind, action=action, pose=pose or _at(0.0, 0.0, 0.0),
+                      scale=scale, color=color, frame_locked=True, **content)
 
 
 def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
@@ -196,12 +187,10 @@ def _lying(heading_rad):
 
 def _nose(distance_m, curvature_per_m, nose_m):
     """Return x, y and heading of the nose when the middle of the rear axle has driven a distance along its arc."""
-    heading_rad = curvature_per_m * distance_m
-    if abs(heading_rad) < 1e-6:
-        return distance_m + nose_m, 0.0, 0.0
-    x_m = math.sin(heading_rad) / curvature_per_m + nose_m * math.cos(heading_rad)
-    y_m = (1 - math.cos(heading_rad)) / curvature_per_m + nose_m * math.sin(heading_rad)
-    return x_m, y_m, heading_rad
+    half_rad = curvature_per_m * distance_m / 2
+    chord_m = distance_m * (math.sin(half_rad) / half_rad if half_rad else 1.0)
+    return (chord_m * math.cos(half_rad) + nose_m * math.cos(2 * half_rad),
+            chord_m * math.sin(half_rad) + nose_m * math.sin(2 * half_rad), 2 * half_rad)
 
 
 def _turn_text(radius_m):
