@@ -60,12 +60,6 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
 
 def examine(options: argparse.Namespace) -> Iterator[Finding]:
     """Yield all findings, in the order in which they're best remedied."""
-    pace = PaceWatch()
-    for finding in _examine(options):
-        yield finding.on_busy_computer() if pace.is_busy() else finding
-
-
-def _examine(options):
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
     own = [Task("versions", computer.probe_versions)]  # about this computer itself
@@ -143,14 +137,20 @@ def _virtual_board(car):
 
 
 def show(findings: Iterator[Finding]) -> int:
-    """Print each finding as soon as it's there, and their count; return the worst level."""
+    """Print each finding as soon as it's there, and their count; return the worst level.
+
+    On a busy computer an answer that didn't come in time says nothing.
+    """
+    pace = PaceWatch()
     is_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size((100, 24)).columns if is_terminal else None
     colour = is_terminal and "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"
-    found = []
+    found: list[Finding] = []
     for finding in findings:
-        found.append(finding)
-        print(render(finding, width, colour), flush=True)
+        found.append(finding if not (finding.by_silence and pace.is_busy()) else Finding(
+            WARN, finding.subject, f"couldn't check, as this computer is busy: {finding.what}",
+            "See what keeps it busy (top), and run the doctor again"))
+        print(render(found[-1], width, colour), flush=True)
     print(summarise(found, colour), flush=True)
     return worst(found)
 

@@ -30,13 +30,6 @@ class Finding(NamedTuple):
     remedy: str = ""  # what to do or type next; empty only when it's OK
     by_silence: bool = False  # whether it follows from an answer that didn't come in time
 
-    def on_busy_computer(self) -> Finding:
-        """Return what is known of it where answers may be late."""
-        if not self.by_silence:
-            return self
-        return Finding(WARN, self.subject, f"couldn't check, as this computer is busy: {self.what}",
-                       "See what keeps it busy (top), and run the doctor again")
-
 
 def first(subject: str, *cases: tuple) -> list[Finding]:
     """Return the finding of the first case that holds; a case is whether it does, the level, what, and the remedy."""

@@ -53,13 +53,14 @@ def test_computer_is_busy_where_a_thread_that_sleeps_gets_less_than_half_of_its_
 
 
 @pytest.mark.parametrize("is_busy", [False, True])
-def test_answer_that_did_not_come_is_bad_unless_the_computer_is_busy(monkeypatch, is_busy):
-    silent = Finding(BAD, "nodes", "/turn_arb is registered, but doesn't answer", "End it", by_silence=True)
-    absent = Finding(BAD, "bus", "there is no such bus", "Switch it on")
-    monkeypatch.setattr(cli, "_examine", lambda options: iter([silent, absent]))
+def test_answer_that_did_not_come_is_bad_unless_the_computer_is_busy(monkeypatch, capsys, is_busy):
     monkeypatch.setattr(PaceWatch, "is_busy", lambda self: is_busy)
-    first, second = cli.examine(None)
-    assert second == absent and (first == silent) == (not is_busy)
-    if is_busy:
-        assert first.level == WARN and first.remedy == "See what keeps it busy (top), and run the doctor again"
-        assert first.what.startswith("couldn't check, as this computer is busy: /turn_arb is registered, but doesn't")
+    worst = cli.show([Finding(BAD, "nodes", "/turn_arb is registered, but doesn't answer", "End it", by_silence=True),
+                      Finding(WARN, "bus", "there is no such bus", "Switch it on")])
+    silent, absent, _ = capsys.readouterr().out.splitlines()
+    assert absent == "warn  bus         there is no such bus | remedy: Switch it on"
+    assert worst == (WARN if is_busy else BAD)
+    assert silent == (
+        "warn  nodes       couldn't check, as this computer is busy: /turn_arb is registered, but doesn't answer | "
+        "remedy: See what keeps it busy (top), and run the doctor again" if is_busy else
+        "bad   nodes       /turn_arb is registered, but doesn't answer | remedy: End it")
