@@ -82,6 +82,8 @@ def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] =
         elsewhere = f"; there is one in {' and '.join(others)}" if others else ""
         return [Finding(OK, "nodes", f"none of this package's runs in {namespace}{elsewhere}")]
     running = [node for node in nodes if node.runs]
+    silent, killed = (list(dict.fromkeys(node.process for node in nodes if node.state == state))  # each process once
+                      for state in (SILENT, KILLED))
     shared = [node for node in running if node.process != node.path]
     together = f"; {', '.join(node.name for node in shared)} in one process, {shared[0].process}" if shared else ""
     verb = "runs" if len(running) == 1 else "run"
@@ -91,11 +93,10 @@ def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] =
                                     "reached from here",
                       "If it hangs: end its process, or start the launch file again. If it's on another computer: "
                       "set ROS_IP there to an address that can be reached from here", by_silence=True)
-              for process in _processes(nodes, SILENT)]
+              for process in silent]
     is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
     launch = (f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch"
               + ("" if namespace == "/" else f" ns:={namespace}"))
-    killed = _processes(nodes, KILLED)
     if killed:
         found.append(Finding(BAD, "nodes", f"{', '.join(killed)}: killed or crashed; the master still lists "
                                            f"{'it' if len(killed) == 1 else 'them'}, but nothing answers there",
@@ -106,11 +107,6 @@ def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] =
         found.append(Finding(WARN, "nodes", f"not running in {namespace}: {', '.join(missing)}",
                              f"Those that this car needs: {launch}, or each by its own file"))
     return found
-
-
-def _processes(nodes, state):
-    """Return the processes of the nodes in a state, each once."""
-    return list(dict.fromkeys(node.process for node in nodes if node.state == state))
 
 
 def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
@@ -209,16 +205,15 @@ class GamepadFacts(NamedTuple):
     axes: int  # of the newest one
     buttons: int
     odd: dict  # the newest values that aren't finite, by index of the axis
-    cause: str  # teleop_logi's own, as is the reason; empty = it published nothing
-    reason: str
-    stick_cause: str  # NOT_AT_REST where teleop_logi ignores an axis
+    state: Any  # teleop_logi's newest TeleopState; an empty one = it published nothing
     driver: Report | None  # what gamepad_joy reports, where it has no gamepad
 
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
     """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
-    topic, cause, reason, driver = gamepad.topic, gamepad.cause, gamepad.reason, gamepad.driver
+    topic, driver, cause, reason = gamepad.topic, gamepad.driver, gamepad.state.cause, gamepad.state.reason
     is_silent, is_lost = not gamepad.messages, cause in causes.LOSSES
+    is_off_rest = causes.NOT_AT_REST in (gamepad.state.steering_stick, gamepad.state.throttle_stick)
     by_phone = is_silent and reason.startswith(PHONE_PREFIX)
     return first(
         "gamepad",
@@ -235,7 +230,7 @@ def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
         (cause == causes.JOY_UNMAPPED, BAD, reason, remedy(cause, topic)),
         *(_faults(gamepad) if gamepad.config else ()),
         (is_lost, WARN, reason, remedy(cause, topic) or LET_GO),
-        (gamepad.stick_cause, WARN, reason, remedy(gamepad.stick_cause, topic)),
+        (is_off_rest, WARN, reason, remedy(causes.NOT_AT_REST, topic)),
         (True, OK, f"{topic}: {gamepad.axes} axes, {gamepad.buttons} buttons, {_rate_text(gamepad)}"
          + (f"; {reason}" if reason else "")))
 
@@ -261,6 +256,5 @@ def _faults(gamepad):
 
 
 def _rate_text(gamepad):
-    if gamepad.messages < 2:
-        return f"once in {gamepad.period_s:.1f} s"
-    return f"{1 / gamepad.period_s:.1f} times a second"
+    return (f"once in {gamepad.period_s:.1f} s" if gamepad.messages < 2 else
+            f"{1 / gamepad.period_s:.1f} times a second")

@@ -12,7 +12,6 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy
 
-from car_interface.common import causes
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import CONFIG_FOLDER, Params
@@ -48,17 +47,16 @@ class GamepadListener:
 
     def result(self, reports: Iterable[Report]) -> GamepadFacts:
         """Return what came so far."""
-        joys, state = list(self._joys), self._states[-1] if self._states else TeleopState()
+        joys = list(self._joys)
         end_s = joys[-1][0] if len(joys) > 1 else time.monotonic()
         newest = joys[-1][1] if joys else Joy()
-        is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
         return GamepadFacts(
             self._node, self._topic, self._publishers, self._config(newest),
             messages=len(joys), period_s=(end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf,
             axes=len(newest.axes), buttons=len(newest.buttons),
             odd={index: value for _, message in joys for index, value in enumerate(message.axes)
                  if not math.isfinite(value)},
-            cause=state.cause, reason=state.reason, stick_cause="" if is_at_rest else causes.NOT_AT_REST,
+            state=self._states[-1] if self._states else TeleopState(),
             driver=next((report for report in reports if report.about == DRIVER_REPORT and report.remedy
                          and f"/{report.node}" in self._publishers), None))
 

@@ -1,5 +1,6 @@
 """The gamepad, as the doctor judges it: the text that its owner reads."""
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,11 +15,13 @@ NOTHING = {"messages": 0, "period_s": math.inf, "axes": 0, "buttons": 0}
 
 
 def check(**changes):
-    """The finding about a gamepad that sends at 20 Hz, but for these facts."""
+    """The finding about a gamepad that sends at 20 Hz, but for these facts, and what teleop_logi says of it."""
+    state = SimpleNamespace(**{name: changes.pop(name, value) for name, value in (
+        ("cause", causes.NO_DEADMAN), ("reason", "no deadman is held"), ("steering_stick", ""),
+        ("throttle_stick", ""))})
     found, = check_gamepad(GamepadFacts("/teleop_logi", **{
         "topic": "/joy", "publishers": ["/joy_node"], "config": SHIPPED, "messages": 21, "period_s": 0.05, "axes": 8,
-        "buttons": 11, "odd": {}, "cause": causes.NO_DEADMAN, "reason": "no deadman is held", "stick_cause": "",
-        "driver": None, **changes}))
+        "buttons": 11, "odd": {}, "state": state, "driver": None, **changes}))
     return found
 
 
@@ -57,8 +60,8 @@ def test_gamepad_that_works_is_ok_and_so_is_none_where_phones_drive():
                  id="rate_near_the_timeout"),
     pytest.param({"axes": 6, "buttons": 12}, WARN,
                  "6 axes and 12 buttons, as a Logitech gamepad has in D mode", "needs its switch at X", id="d_mode"),
-    pytest.param({"stick_cause": causes.NOT_AT_REST, "reason": "no deadman is held; the gamepad's throttle_axis 4 is "
-                  "1.00 and was not seen at its rest: it doesn't count"}, WARN, "throttle_axis 4 is 1.00 and was not",
+    pytest.param({"throttle_stick": causes.NOT_AT_REST, "reason": "no deadman is held; the gamepad's throttle_axis 4 "
+                  "is 1.00 and was not seen at its rest: it doesn't count"}, WARN, "throttle_axis 4 is 1.00 and was not",
                  "Let go of the stick. If the axis stays where it is, it is a trigger", id="trigger_for_a_stick"),
     pytest.param({"cause": causes.NOT_REARMED, "reason": "the gamepad was silent; let go"}, WARN,
                  "the gamepad was silent; let go", "Let go of both deadman buttons once", id="not_rearmed"),
