@@ -12,15 +12,14 @@ from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
-from car_interface.common.declared import read_all
+from car_interface.common.declared import read, read_all
 from car_interface.common.devices import STABLE_PORT, script_arguments
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
 from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.common.yaml_file import compose_yaml, read_yaml
-from car_interface.pca9685.config import AUTO, VIRTUAL
-from car_interface.pca9685.registers import prescale_for
+from car_interface.pca9685.config import AUTO, VIRTUAL, Pca9685Config
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, find_cars
@@ -159,7 +158,7 @@ class Car:
         self.port_is_virtual = self.port == self.known_text(SIMULATOR, "port")
         self.bus = _bus(options.bus) if options.bus else _bus_of(board)
         self.address = options.address or _known(board.integer, "address", USUAL_ADDRESS)
-        self.prescale, self.oscillator_hz = _prescale(board)
+        self.prescale, self.oscillator_hz = _clock_of(board)
 
     def parameters(self, name: str) -> Params:
         """Return a node's; what its launch file gave to its process goes before what the server holds by now."""
@@ -206,16 +205,13 @@ def _bus(device):
     return f"/dev/i2c-{device}" if str(device).isdigit() else device
 
 
-def _prescale(board):
-    """Return the PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
+def _clock_of(board):
+    """Return the PRE_SCALE and the oscillator by the pca9685 node's parameters; ``None`` = not known, they are bad."""
     try:
-        oscillator_hz = board.number("oscillator_hz", 25e6, low=1e6, high=50e6)
-        prescale = board.integer("prescale", None)
-        if prescale is None:
-            prescale = prescale_for(board.number("frequency", 50.0, above=0.0), oscillator_hz)
-        return prescale, oscillator_hz
+        config = read(board, Pca9685Config)
+        return config.prescale, config.oscillator_hz
     except ConfigError:
-        return None, 25e6
+        return None, Pca9685Config.oscillator_hz
 
 
 def check_files(car: Car) -> list[Finding]:
