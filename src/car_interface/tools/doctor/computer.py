@@ -189,8 +189,8 @@ def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
             device = interface.partition(":")[0]
             numbers = f"{_read_word(device, 'idVendor')}:{_read_word(device, 'idProduct')}"
             name = _read_word(device, "product") or "a gamepad"
-            what = f"{name} ({numbers}) is plugged in, but no driver has it: no xpad"
-            found.append(Finding(WARN, "gamepad", what, NO_XPAD_REMEDY))
+            found.append(Finding(WARN, "gamepad", f"{name} ({numbers}) is plugged in, but no driver has it: no xpad",
+                                 NO_XPAD_REMEDY))
     return found
 
 

@@ -166,13 +166,13 @@ def check_chip(name: str, mode1: int, prescale: int, is_marked: bool, car: Car) 
 
 def check_no_answer(name: str, error: OSError, device: str, header: Header, others: Sequence[int]) -> list[Finding]:
     """Return the finding about a chip that can't be read; ``others`` are what ``find_others`` found."""
-    if error.errno in NOT_ACKNOWLEDGED and others:
-        listed = ", ".join(f"0x{address:02x}" for address in others)
-        return [Finding(BAD, "chip", f"nothing answers at {name}, but a PCA9685 at {listed}",
-                        f"If that is your board: address:=0x{others[0]:02x}")]
-    cause, remedy = explain(error, device, True, header)
-    wider = f". {PROBE}" if error.errno in NOT_ACKNOWLEDGED else ""
-    return [Finding(BAD, "chip", f"{name}: {cause}", remedy + wider)]
+    is_absent, (cause, remedy) = error.errno in NOT_ACKNOWLEDGED, explain(error, device, True, header)
+    listed = [f"0x{address:02x}" for address in others]
+    return first(
+        "chip",
+        (is_absent and listed, BAD, f"nothing answers at {name}, but a PCA9685 at {', '.join(listed)}",
+         f"If that is your board: address:={listed and listed[0]}"),
+        (True, BAD, f"{name}: {cause}", remedy + (f". {PROBE}" if is_absent else "")))
 
 
 # --- the Teensy's port ---
@@ -311,7 +311,8 @@ class TeensyProbe:
         """Return the finding about the Teensy."""
         verdict, pinger = self._session.health.verdict, self._session.pinger
         missing = [name for sensor, name in enumerate(SONARS) if sensor not in self._sonars]
-        within = f"{SONARS_WITHIN_NS / 1e9:g} s"
+        named = "any of the sonars" if len(missing) == len(SONARS) else (
+            f"the sonar{'' if len(missing) == 1 else 's'} {', '.join(missing)}")
         pong = _describe_pong(self._session.round_trip_ns / 1e9, pinger.answered_checksum)
         return first(
             "Teensy",
@@ -319,12 +320,6 @@ class TeensyProbe:
              "Check the wire from this port's TX to the Teensy's RX"),
             (verdict.state == WAITING, WARN, "too little came to judge it", "Run the doctor again"),
             (verdict.level != OK, verdict.level, verdict.description, verdict.next_step),
-            (missing, WARN, f"{verdict.description}, but nothing came from {_describe_sonars(missing)} in {within}",
-             SONARS_REMEDY),
+            (missing, WARN,
+             f"{verdict.description}, but nothing came from {named} in {SONARS_WITHIN_NS / 1e9:g} s", SONARS_REMEDY),
             (True, OK, f"{verdict.description}; {pong}"))[0]
-
-
-def _describe_sonars(names):
-    if len(names) == len(SONARS):
-        return "any of the sonars"
-    return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)
