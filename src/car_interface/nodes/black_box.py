@@ -154,12 +154,10 @@ class StopWatch:
 
     def tick(self) -> Stop | None:
         """Count the time; return a stop for an arbiter whose states have ended."""
-        self._quiet_ticks = {node: ticks + 1 for node, ticks in self._quiet_ticks.items()}
-        silent = [node for node, ticks in self._quiet_ticks.items() if ticks > SILENT_TICKS]
-        for node in silent:
-            del self._quiet_ticks[node]
+        silent = [node for node, ticks in self._quiet_ticks.items()
+                  if ticks == SILENT_TICKS and node != TELEOP_LOGI]  # whose silence the arbiters report sooner
+        self._quiet_ticks = {node: ticks + 1 for node, ticks in self._quiet_ticks.items() if ticks < SILENT_TICKS}
         was_driven, self._driven_ticks = self._driven_ticks > 0, max(0, self._driven_ticks - 1)
-        silent = [node for node in silent if node != TELEOP_LOGI]  # whose silence the arbiters report sooner
         return Stop(f"{silent[0]} silent", "its states have ended") if silent and was_driven else None
 
     def _update(self, node, has_car, cause, reason):

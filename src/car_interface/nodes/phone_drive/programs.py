@@ -80,11 +80,9 @@ class Recordings:
         if recording.is_ending:
             lines = recording.report()
             if lines is not None:
-                self._text = "; ".join(filter(None, (self._text, lines[-1])))
-                self._recording = None
+                self._text, self._recording = "; ".join(filter(None, (self._text, lines[-1]))), None
         elif recording.has_ended:
-            self._text = "the recording has ended by itself: rosrun rosbag record says why"
-            self._recording = None
+            self._text, self._recording = "the recording has ended by itself: rosrun rosbag record says why", None
         else:
             try:
                 self._check_disk()
