@@ -10,7 +10,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc import BRAKING, HOLD
 from car_interface.throttle.esc_config import BRAKE_BECOMES_REVERSE, BRAKE_THEN_REVERSE, DIRECT_REVERSE, FORWARD_ONLY
 from car_interface.tools.first_check.car import GAMEPAD, SAME_DUTY, STEERING, THROTTLE
-from car_interface.tools.first_check.questions import ENTER, Question, broken, fine, first, learned, skipped
+from car_interface.tools.first_check.questions import ENTER, YES_NO, Question, broken, fine, first, learned, skipped
 
 FULL_STICK = 0.8  # held at its end
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel
@@ -23,7 +23,6 @@ NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_ra
 PULL_NS = NS_PER_S  # of a pull, to see what the wheels do
 NEUTRAL_WITHIN_NS = NS_PER_S // 2
 STOPS = (BRAKING, HOLD)
-YES_NO = "yn"  # the keys of what comes second
 
 
 class SteeringDirection(Question):
@@ -51,20 +50,16 @@ class SteeringDirection(Question):
 
     def answer(self, key, now_ns):
         channel, stick_is_left = self.setup.steering.servo_channel, self._full > 0
-        if not self._full:
-            return "hold deadman and stick first"
-        if key == "n":
-            return broken(f"the front wheels don't move; the servo board's channel {channel} has duty {self._duty}",
-                          f"look at the servo's plug (channel {channel}), its power (the ESC's BEC) and its horn")
-        changes: dict = {}
-        if not stick_is_left:
-            changes[GAMEPAD] = {"steer_scale": -self.setup.steer_scale}
-        if (key == "l") != stick_is_left:
-            changes[STEERING] = {"exchanged": True}
-        if not changes:
-            return fine("stick and wheels go to the same side")
-        wrong = " and ".join(["the stick"] * (GAMEPAD in changes) + ["the servo"] * (STEERING in changes))
-        return learned(f"{wrong} went the other way", changes)
+        stick = {} if stick_is_left else {GAMEPAD: {"steer_scale": -self.setup.steer_scale}}
+        servo = {} if stick_is_left == (key == "l") else {STEERING: {"exchanged": True}}
+        wrong = " and ".join(["the stick"] * len(stick) + ["the servo"] * len(servo))
+        return first(
+            (not self._full, "hold deadman and stick first"),
+            (key == "n",
+             broken(f"the front wheels don't move; the servo board's channel {channel} has duty {self._duty}",
+                    f"look at the servo's plug (channel {channel}), its power (the ESC's BEC) and its horn")),
+            (not wrong, fine("stick and wheels go to the same side")),
+            (True, learned(f"{wrong} went the other way", changes={**stick, **servo})))
 
 
 class _Steers(Question):
@@ -88,15 +83,12 @@ class _Finds(_Steers):
     failure = ("", "")  # answer and repair where the place can't be reached
 
     def answer(self, key, now_ns):
-        if key == "n":
-            return broken(*self.failure)
-        if self.car.by_program(now_ns):
-            return NOT_HELD
-        if key not in ",.":
-            return self._conclude(self.setup.steering.teleop_duty(self.steering))
-        wanted = round(self.steering + (1 if key == "," else -1) * self._left * self.step_size, 3)
-        self.steering = max(self.low, min(self.high, wanted))
-        return None
+        outcome = first((key == "n", broken(*self.failure)), (self.car.by_program(now_ns), NOT_HELD),
+                        (key not in ",.", self._conclude(self.setup.steering.teleop_duty(self.steering))))
+        if outcome is None:
+            wanted = round(self.steering + (1 if key == "," else -1) * self._left * self.step_size, 3)
+            self.steering = max(self.low, min(self.high, wanted))
+        return outcome
 
 
 class Center(_Finds):
@@ -115,7 +107,7 @@ class Center(_Finds):
         return first(
             (abs(duty - center) <= SAME_DUTY, fine(f"straight at duty {center}")),
             (True, learned(f"straight at duty {duty}",
-                           {STEERING: {"servo_center": duty, "center_request": self.steering}})))
+                           changes={STEERING: {"servo_center": duty, "center_request": self.steering}})))
 
 
 class End(_Finds):
@@ -137,7 +129,7 @@ class End(_Finds):
         return first(
             (abs(self.steering - self.car.center) < MIN_END, "that is hardly a turn: go further, or type N"),
             (abs(self.steering) >= 1.0, fine(f"free up to the end of the file, duty {duty}")),
-            (True, learned(f"the end is at duty {duty}", {STEERING: {f"servo_{self._name}": duty}})))
+            (True, learned(f"the end is at duty {duty}", changes={STEERING: {f"servo_{self._name}": duty}})))
 
 
 class BoardKilled(_Steers):
@@ -167,29 +159,28 @@ class BoardKilled(_Steers):
         if not self._centered and self._is_centered(now_ns):
             self._centered = f"{self.car.sender} reported the center {after_ns / NS_PER_S:.1f} s after the kill"
         if self._centered and self.car.sender == self._node:
-            self.go_on(f"{self._centered}, and the node is back. Did the front wheels go straight?", "Y yes   N no",
-                       YES_NO)
-        elif not self._centered and after_ns > SAFE_WITHIN_NS:
-            return broken("nobody centered the steering within two seconds",
-                          "let the guard run: guard in pca9685.yaml; rosrun car_interface doctor")
-        elif after_ns > BACK_WITHIN_NS:
-            return broken("centered, but the node isn't back", "start it again by its launch file, which restarts it")
-        return None
+            self.go_on(f"{self._centered}, and the node is back. Did the front wheels go straight?")
+            return None
+        return first(
+            (not self._centered and after_ns > SAFE_WITHIN_NS,
+             broken("nobody centered the steering within two seconds",
+                    "let the guard run: guard in pca9685.yaml; rosrun car_interface doctor")),
+            (after_ns > BACK_WITHIN_NS,
+             broken("centered, but the node isn't back", "start it again by its launch file, which restarts it")))
 
     def _is_centered(self, now_ns):
         duty = self.car.held_duty(self._channel, now_ns)
         return duty is not None and (not duty or abs(duty - self.setup.steering.servo_center) <= SAME_DUTY)
 
     def answer(self, key, now_ns):
-        if key == "y":
-            return fine(f"{self._centered}, and the node came back")
-        if key == "n":
-            return broken("the board reports the center, and the wheels aren't there",
-                          "look at the servo's plug and power; center the steering first")
-        if self.car.by_program(now_ns):
-            return NOT_HELD
-        if self._is_centered(now_ns):
-            return "the wheels must be turned first"
+        outcome = first(
+            (key == "y", fine(f"{self._centered}, and the node came back")),
+            (key == "n", broken("the board reports the center, and the wheels aren't there",
+                                "look at the servo's plug and power; center the steering first")),
+            (self.car.by_program(now_ns), NOT_HELD),
+            (self._is_centered(now_ns), "the wheels must be turned first"))
+        if outcome is not None:
+            return outcome
         self._killed_ns, self._node, self.steering = now_ns, self.car.sender, None
         trouble = self.car.kill(self._node)
         if trouble:
@@ -256,7 +247,7 @@ class NeutralDuty(_ByStick):
             (trouble, "hold the deadman while you answer"),
             (self.car.throttle.value.granted, "let go of the stick"),
             (neutral == usual, fine(text)),
-            (True, learned(text, {THROTTLE: {"neutral": neutral}})))
+            (True, learned(text, changes={THROTTLE: {"neutral": neutral}})))
 
 
 class ThrottleDirection(_ByStick):
@@ -275,7 +266,7 @@ class ThrottleDirection(_ByStick):
             return first(
                 (not self._was_pulled, "pull the stick first, with the deadman held"),
                 (key == "y", learned("this ESC drives forward on the pulses behind neutral",
-                                     {THROTTLE: {"exchanged": True}})),
+                                     changes={THROTTLE: {"exchanged": True}})),
                 (True, broken("the motor turns the other way round", "exchange two wires between ESC and motor")))
         pushed, given = self._stick > 0, self._was_given
         outcome = first(
@@ -296,11 +287,11 @@ class ThrottleDirection(_ByStick):
                 "that shows whether duty_table in throttle.yaml is to fall instead")))
         if outcome is None:
             self.go_on("Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at "
-                       "once?", "Y yes   N no, they stop or stand", YES_NO)
+                       "once?", "Y yes   N no, they stop or stand")
         return outcome
 
     def _inverted(self, answer, repair=""):
-        return learned(answer, {GAMEPAD: {"throttle_scale": -self.setup.throttle_scale}}, repair)
+        return learned(answer, repair, {GAMEPAD: {"throttle_scale": -self.setup.throttle_scale}})
 
 
 class EscKind(_ByStick):
@@ -331,20 +322,19 @@ class EscKind(_ByStick):
             self._pulled_since_ns = None
 
     def answer(self, key, now_ns):
-        if key == "n" and self.keys != YES_NO:
-            return broken("its kind isn't clear", "find it by a drive and calibrate_esc: docs/calibrate.md, 3")
-        if not self._has_pulled:
-            return "first do it, a second of the pull at least"
-        if key == "1":
+        if key == "1" and self._has_pulled:
             self._was_centered = self._has_pulled = False
             self.go_on("Let go of the stick, pull it once more, and hold it for two seconds. Do the wheels turn "
-                       "BACKWARD?", "Y yes   N no", YES_NO)
+                       "BACKWARD?")
             return None
-        kind = {"2": BRAKE_BECOMES_REVERSE, "3": DIRECT_REVERSE, "y": BRAKE_THEN_REVERSE, "n": FORWARD_ONLY}[key]
+        kind = {"2": BRAKE_BECOMES_REVERSE, "3": DIRECT_REVERSE, "y": BRAKE_THEN_REVERSE, "n": FORWARD_ONLY}.get(key)
         return first(
+            (key == "n" and self.keys != YES_NO,
+             broken("its kind isn't clear", "find it by a drive and calibrate_esc: docs/calibrate.md, 3")),
+            (not self._has_pulled, "first do it, a second of the pull at least"),
             (kind == self.setup.profile, fine(f"{kind}, as the file has it")),
-            (True, learned(kind, {THROTTLE: {"esc/profile": kind}}, "have calibrate_esc measure it: until then a stop "
-                           "brakes only once the ESC has proved its kind")))
+            (True, learned(kind, "have calibrate_esc measure it: until then a stop brakes only once the ESC has proved "
+                           "its kind", {THROTTLE: {"esc/profile": kind}})))
 
 
 class LettingGo(_ByStick):
@@ -368,7 +358,7 @@ class LettingGo(_ByStick):
         if duty is not None and (abs(duty - self.car.neutral) <= SAME_DUTY or self._brakes(duty)):
             self._took_s = math.ceil((now_ns - self._released_ns) / NS_PER_S * 10 + 0.1) / 10  # it is looked at 20 Hz
             self.go_on(f"The ESC got neutral or its brake within {self._took_s:.1f} s of the release. Do the wheels "
-                       "run out, and stand?", "Y yes   N no", YES_NO)
+                       "run out, and stand?")
         elif now_ns - self._released_ns > NEUTRAL_WITHIN_NS:
             return broken("the ESC's channel is neither neutral nor its brake half a second after the release",
                           "don't drive it: rosrun car_interface doctor")
@@ -380,8 +370,8 @@ class LettingGo(_ByStick):
         return self.car.throttle.value.esc in STOPS and (duty - self.car.neutral) * (table[-1] - table[0]) < 0
 
     def answer(self, key, now_ns):
-        if key == "y":
-            return fine(f"neutral or its brake within {self._took_s:.1f} s, and the wheels stood")
-        return broken("the wheels go on after the release", "don't drive it: disconnect the battery. The ESC has "
-                                                            "another neutral, or sits on another channel"
-                      ) if self._was_given else None
+        return first(
+            (key == "y", fine(f"neutral or its brake within {self._took_s:.1f} s, and the wheels stood")),
+            (self._was_given,
+             broken("the wheels go on after the release", "don't drive it: disconnect the battery. The ESC has another "
+                                                          "neutral, or sits on another channel")))

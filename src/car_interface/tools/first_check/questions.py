@@ -5,10 +5,9 @@ Pure. A question is answered by a key, or by what it sees.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
-from typing import Any, Mapping
+from typing import Any, Mapping, NamedTuple
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.tools.first_check.car import GAMEPAD, HUB, SIDES, Car, in_brackets
@@ -16,29 +15,23 @@ from car_interface.tools.first_check.car import GAMEPAD, HUB, SIDES, Car, in_bra
 FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked"
 CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}  # as which a page shows them
 ENTER = "\n"
+YES_NO = "yn"  # the keys of what comes second
 SAME_KEYS = {"<": ",", ">": ".", "=": "+", "\r": ENTER}  # typed as they are, or as the keys that they share
 MIN_PULSES = 5  # less is a wheel that was touched
 TURN_TOLERANCE = 0.25  # of the pulses of one turn by hand
 NEAR_M, NEAR_REPORTS = 0.4, 3  # a hand
 
 
-@dataclass(frozen=True)
-class Result:
+class Result(NamedTuple):
     """What an answer means."""
 
     verdict: str  # FINE, LEARNED, BROKEN or SKIPPED
     answer: str  # what was seen
-    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # new values of parameters, by file and name
     repair: str = ""  # what a person has to do
+    changes: Mapping[str, Mapping[str, Any]] = {}  # new values of parameters, by file and name
 
 
-fine, skipped = partial(Result, FINE), partial(Result, SKIPPED)
-learned = partial(Result, LEARNED)  # with the changes, and a repair if there is one
-
-
-def broken(answer: str, repair: str) -> Result:
-    """Return what a person has to repair."""
-    return Result(BROKEN, answer, repair=repair)
+fine, learned, broken, skipped = (partial(Result, verdict) for verdict in (FINE, LEARNED, BROKEN, SKIPPED))
 
 
 def first(*cases: tuple[Any, Result | str]) -> Result | str | None:
@@ -78,7 +71,7 @@ class Question:
     def answer(self, key: str, now_ns: int) -> Result | str | None:
         """Return the answer that one of ``keys`` gives, or why it isn't taken; ``None``: it goes on."""
 
-    def go_on(self, ask: str, keys_text: str, keys: str) -> None:
+    def go_on(self, ask: str, keys_text: str = "Y yes   N no", keys: str = YES_NO) -> None:
         """Ask what comes next."""
         self.ask, self.help, self.keys = ask, keys_text, keys
 
@@ -137,16 +130,19 @@ class Deadman(Question):
     def answer(self, key, now_ns):
         wanted, pressed = self._wanted, self.car.buttons.fresh(now_ns) or ()
         others = [number for mode, number in self.car.controls.buttons.items() if mode != wanted]
-        if wanted is None:
-            return broken(f"it is held though nobody holds it: {self.seen(now_ns)}",
-                          "end other programs that publish human_in_loop: rosrun car_interface doctor")
-        if len(pressed) == 1 and pressed[0] not in others:
-            return learned(f"button {pressed[0]} is held, and {wanted}_button is another one",
-                           {GAMEPAD: {f"{wanted}_button": pressed[0]}})
+        button = pressed[0] if len(pressed) == 1 and pressed[0] not in others else None
         which = f"buttons {', '.join(map(str, pressed))} are held" if pressed else "no button of joy is seen"
-        return broken(f"the {wanted} deadman isn't seen: {which}",
-                      f"switch the gamepad on, and set {wanted}_button in teleop_logi.yaml: rostopic echo /joy "
-                      "shows the buttons")
+        return first(
+            (wanted is None,
+             broken(f"it is held though nobody holds it: {self.seen(now_ns)}",
+                    "end other programs that publish human_in_loop: rosrun car_interface doctor")),
+            (button is not None,
+             learned(f"button {button} is held, and {wanted}_button is another one",
+                     changes={GAMEPAD: {f"{wanted}_button": button}})),
+            (True,
+             broken(f"the {wanted} deadman isn't seen: {which}",
+                    f"switch the gamepad on, and set {wanted}_button in teleop_logi.yaml: rostopic echo /joy shows the "
+                    "buttons")))
 
 
 class WheelSensor(Question):
@@ -221,20 +217,21 @@ class Sonar(Question):
         return fine(f"it sees the hand: {_range_text(self.car.ranges[self.name].value)}")
 
     def answer(self, key, now_ns):
-        others = [_words(name) for name in self.car.ranges if self._near(name) >= NEAR_REPORTS]
-        timed = self.car.ranges[self.name]
-        if key == "x":
-            return learned("the car has none", {HUB: {self.name: "absent"}},
-                           f"with obstacle_stop set obstacle/sonars/{self.name}: absent in throttle.yaml")
-        if others:
-            return broken(f"{others[0]} sees the hand in its place",
-                          f"exchange the plugs of {_words(self.name)} and {others[0]}")
-        if timed.is_stale(now_ns):
-            return broken("it isn't heard", "look at its plug, and at sonar_sequence in teensy_sensor_hub.yaml")
-        if all(range_m < NEAR_M for range_m in (timed.value, *self.car.reports[self.name])):
-            return broken(f"it always sees something: {_range_text(timed.value)}",
-                          "look for what is in its cone: the box, a cable, the body")
-        return broken("it sees no hand", "look at its plug (trigger and echo), and at its aim")
+        other = next((_words(name) for name in self.car.ranges if self._near(name) >= NEAR_REPORTS), "")
+        timed, reports = self.car.ranges[self.name], self.car.reports[self.name]
+        range_m = timed.value if timed.was_received else math.inf
+        return first(
+            (key == "x",
+             learned("the car has none", f"with obstacle_stop set obstacle/sonars/{self.name}: absent in throttle.yaml",
+                     {HUB: {self.name: "absent"}})),
+            (other, broken(f"{other} sees the hand in its place",
+                           f"exchange the plugs of {_words(self.name)} and {other}")),
+            (timed.is_stale(now_ns),
+             broken("it isn't heard", "look at its plug, and at sonar_sequence in teensy_sensor_hub.yaml")),
+            (all(each_m < NEAR_M for each_m in (range_m, *reports)),
+             broken(f"it always sees something: {_range_text(range_m)}",
+                    "look for what is in its cone: the box, a cable, the body")),
+            (True, broken("it sees no hand", "look at its plug (trigger and echo), and at its aim")))
 
 
 def _words(name):
@@ -274,7 +271,9 @@ class TeensyUnplugged(Question):
         return None
 
     def answer(self, key, now_ns):
-        if self._was_lost:
-            return broken("it doesn't come back", "rosrun car_interface setup_hardware, and port:=/dev/serial/by-id/… "
-                                                  "in the launch: the port has another name now")
-        return broken("it wasn't noticed", "another device is opened: look at port:=…, rosrun car_interface doctor")
+        return first(
+            (self._was_lost,
+             broken("it doesn't come back", "rosrun car_interface setup_hardware, and port:=/dev/serial/by-id/… in the "
+                                            "launch: the port has another name now")),
+            (True, broken("it wasn't noticed",
+                          "another device is opened: look at port:=…, rosrun car_interface doctor")))
