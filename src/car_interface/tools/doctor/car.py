@@ -12,7 +12,7 @@ from car_interface.common.sources import source_name
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
 from car_interface.teleop.handover import PHONE_PREFIX
 from car_interface.throttle.battery import REPORT as BATTERY
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
+from car_interface.tools.doctor.findings import BAD, BY_SILENCE, OK, WARN, Finding, all_of, first
 
 # The nodes of every car, and what is missing without each.
 NODE_ROLES = {
@@ -87,26 +87,23 @@ def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] =
     shared = [node for node in running if node.process != node.path]
     together = f"; {', '.join(node.name for node in shared)} in one process, {shared[0].process}" if shared else ""
     verb = "runs" if len(running) == 1 else "run"
-    found = [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")
-             ] if running else []
-    found += [Finding(BAD, "nodes", f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be "
-                                    "reached from here",
-                      "If it hangs: end its process, or start the launch file again. If it's on another computer: "
-                      "set ROS_IP there to an address that can be reached from here", by_silence=True)
-              for process in silent]
     is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
     launch = (f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch"
               + ("" if namespace == "/" else f" ns:={namespace}"))
-    if killed:
-        found.append(Finding(BAD, "nodes", f"{', '.join(killed)}: killed or crashed; the master still lists "
-                                           f"{'it' if len(killed) == 1 else 'them'}, but nothing answers there",
-                             f"Start the launch file again: {launch}. To clear the list: rosnode cleanup"))
     missing = [f"{node.name} ({NODE_ROLES[node.name]})" for node in nodes
                if node.state == ABSENT and node.name in NODE_ROLES]
-    if missing:
-        found.append(Finding(WARN, "nodes", f"not running in {namespace}: {', '.join(missing)}",
-                             f"Those that this car needs: {launch}, or each by its own file"))
-    return found
+    return all_of(
+        "nodes",
+        (running, OK, f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}"),
+        *((True, BAD, f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be reached from "
+                      "here",
+           "If it hangs: end its process, or start the launch file again. If it's on another computer: set ROS_IP "
+           "there to an address that can be reached from here", BY_SILENCE) for process in silent),
+        (killed, BAD, f"{', '.join(killed)}: killed or crashed; the master still lists "
+                      f"{'it' if len(killed) == 1 else 'them'}, but nothing answers there",
+         f"Start the launch file again: {launch}. To clear the list: rosnode cleanup"),
+        (missing, WARN, f"not running in {namespace}: {', '.join(missing)}",
+         f"Those that this car needs: {launch}, or each by its own file"))
 
 
 def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
@@ -148,14 +145,14 @@ def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
         reported: the names of reports that another finding covers.
     """
     ours = [report for report in reports if report.about not in (COMMAND_TOPICS, BATTERY)]
-    good = [report.name for report in ours if report.level == OK]
-    found = [Finding(OK, "reports", ", ".join(good))] if good else []
-    found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
-              for report in ours if report.level != OK and report.name not in reported]
-    nodes = {report.node for report in reports}
-    return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
-                            f"See whether it hangs: rosnode ping {path}", by_silence=True)
-                    for path in reporting if path.strip("/") not in nodes]
+    good, nodes = [report.name for report in ours if report.level == OK], {report.node for report in reports}
+    return all_of(
+        "reports",
+        (good, OK, ", ".join(good)),
+        *((report.level != OK and report.name not in reported, min(report.level, BAD),
+           f"{report.name}: {report.message}", report.remedy or MORE) for report in ours),
+        *((path.strip("/") not in nodes, BAD, f"{path} runs, but doesn't report on /diagnostics",
+           f"See whether it hangs: rosnode ping {path}", BY_SILENCE) for path in reporting))
 
 
 def check_battery(reports: Sequence[Report]) -> list[Finding]:

@@ -24,7 +24,7 @@ from car_interface.common.devices import SETUP_REMEDY, read_header, read_members
 from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
 from car_interface.teleop.input_devices import find_pads
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, all_of, first
 
 PLAUSIBLE_YEARS = range(2024, 2100)
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
@@ -69,15 +69,14 @@ INSTALL_TOOLS = "docs/recordings.md, Install the tools"
 
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> list[Finding]:
     """Return one finding for all groups of the car's devices that this process is in, and one for each other."""
-    needs = []  # groups, what each is for, and how bad it is to be outside
-    # Of a device that is missing, that is the first thing to be told as bad.
-    if not virtual_port:
-        needs.append((group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN))
-    if not virtual_bus:
-        path = read_header().bus_paths[0] if bus == AUTO else bus
-        needs.append((group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
-    if any(not os.access(pad.path, os.R_OK) for pad in find_pads()):
-        needs.append(("input", "the gamepad", WARN))
+    path = read_header().bus_paths[0] if bus == AUTO else bus
+    is_closed = any(not os.access(pad.path, os.R_OK) for pad in find_pads())
+    # Groups, what each is for, and how bad it is to be outside. Of a device that is missing, that is the first thing to
+    # be told as bad.
+    needs = [need for is_needed, *need in (
+        (not virtual_port, group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN),
+        (not virtual_bus, group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN),
+        (is_closed, "input", "the gamepad", WARN)) if is_needed]
     who = read_membership()
     if who.is_root:
         return [Finding(OK, "groups", "this is root, which needs none; the nodes don't need root")]
@@ -115,21 +114,17 @@ def device_number(path: str) -> tuple[int, int] | None:
 
 def probe_clock(uses_sim_time: bool) -> list[Finding]:
     """Check the wall clock and ROS time; the driving itself goes by the monotonic clock and minds neither."""
-    found, year, synchronised = [], time.gmtime().tm_year, _is_synchronised()
-    if year not in PLAUSIBLE_YEARS:
-        found.append(Finding(BAD, "clock", f"it's the year {year}: stamps and bags will be wrong",
-                             "Connect to a network, or set it: sudo date -s 'YYYY-MM-DD hh:mm'"))
-    elif synchronised is False:
-        found.append(Finding(WARN, "clock", "not synchronised: stamps of two computers, and the dates of bags, may be "
-                                            "off; driving doesn't depend on it",
-                             "sudo timedatectl set-ntp true, and a network; see timedatectl"))
-    if uses_sim_time:
-        found.append(Finding(WARN, "clock", "/use_sim_time is true: stamps stand still unless something publishes "
-                                            "/clock", "On a car: rosparam delete /use_sim_time, and start again"))
-    if not found:
-        found.append(Finding(OK, "clock", "synchronised" if synchronised else
-                             "the kernel doesn't say whether it's synchronised"))
-    return found
+    year, synchronised = time.gmtime().tm_year, _is_synchronised()
+    return all_of(
+        "clock",
+        (year not in PLAUSIBLE_YEARS, BAD, f"it's the year {year}: stamps and bags will be wrong",
+         "Connect to a network, or set it: sudo date -s 'YYYY-MM-DD hh:mm'"),
+        (year in PLAUSIBLE_YEARS and synchronised is False, WARN,
+         "not synchronised: stamps of two computers, and the dates of bags, may be off; driving doesn't depend on it",
+         "sudo timedatectl set-ntp true, and a network; see timedatectl"),
+        (uses_sim_time, WARN, "/use_sim_time is true: stamps stand still unless something publishes /clock",
+         "On a car: rosparam delete /use_sim_time, and start again")) or [Finding(
+             OK, "clock", "synchronised" if synchronised else "the kernel doesn't say whether it's synchronised")]
 
 
 def _is_synchronised():

@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from typing import Any, Callable, NamedTuple, Sequence
 
 OK, WARN, BAD = range(3)  # also the exit codes, and the levels of diagnostic_msgs/DiagnosticStatus
+BY_SILENCE = True  # of a finding
 
 _NAMES = ("ok", "warn", "bad")
 _MEANINGS = ("nothing to do", "nothing that is bad; read the warnings", "begin with the first that is bad")
@@ -31,9 +32,17 @@ class Finding(NamedTuple):
     by_silence: bool = False  # whether it follows from an answer that didn't come in time
 
 
+def all_of(subject: str, *cases: tuple) -> list[Finding]:
+    """Return the findings of all cases that hold.
+
+    A case is whether it does, the level, what, and, where that is needed, the remedy and BY_SILENCE.
+    """
+    return [Finding(level, subject, *texts) for holds, level, *texts in cases if holds]
+
+
 def first(subject: str, *cases: tuple) -> list[Finding]:
-    """Return the finding of the first case that holds; a case is whether it does, the level, what, and the remedy."""
-    return [next(Finding(level, subject, *texts) for holds, level, *texts in cases if holds)]
+    """Return the finding of the first case that holds, likewise."""
+    return all_of(subject, *cases)[:1]
 
 
 def worst(findings: Sequence[Finding]) -> int:

@@ -24,7 +24,7 @@ from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, find_cars
 from car_interface.tools.doctor.computer import leads_here
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, Task, first
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, Task, all_of, first
 
 CALLER = "/doctor"
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
@@ -252,12 +252,11 @@ def check_parameters(car: Car) -> list[Finding]:
             good.append(node.path)
         except CarInterfaceError as error:
             later = "it can't start with these" if node.state == ABSENT else "it will not start again with these"
-            bad.append(Finding(BAD, "parameters", f"{node.path}: {later}: {error}",
-                               "Correct the YAML file or the launch file, and start again"))
-    if not good and not bad:
-        return [Finding(OK, "parameters", "none on the server; launch files bring them")]
-    found = [Finding(OK, "parameters", f"those of {', '.join(good)} are good")] if good else []
-    return found + bad + _check_folders(folders, car.known_text("pca9685", "device") == VIRTUAL)
+            bad.append((True, BAD, f"{node.path}: {later}: {error}",
+                        "Correct the YAML file or the launch file, and start again"))
+    return all_of("parameters", (not good and not bad, OK, "none on the server; launch files bring them"),
+                  (good, OK, f"those of {', '.join(good)} are good"), *bad
+                  ) + _check_folders(folders, car.known_text("pca9685", "device") == VIRTUAL)
 
 
 def _check_folders(folders, is_virtual):
