@@ -278,17 +278,17 @@ def screen_lines(steering: Any, throttle: Any, ranges_m: Mapping[str, float], is
     if throttle is not None:
         speed = "unknown" if math.isnan(throttle.speed) else f"{throttle.speed:.2f} m/s"
         cut = f", cut: {throttle.limit_reason}" if throttle.limit in causes.THROTTLE_CUTS else ""
-        lines.append(f"speed {speed}   throttle {throttle.granted:.2f} of {throttle.asked:.2f} asked{cut}   "
-                     f"scale {throttle.human_scale:.1f}   mode {throttle.mode or 'none'}")
-        lines.append(f"drives: {source_name(throttle.source)}, {throttle.reason}")
+        lines += [f"speed {speed}   throttle {throttle.granted:.2f} of {throttle.asked:.2f} asked{cut}   "
+                  f"scale {throttle.human_scale:.1f}   mode {throttle.mode or 'none'}",
+                  f"drives: {source_name(throttle.source)}, {throttle.reason}"]
         if throttle.esc_reason:
             lines.append(f"ESC:    {throttle.esc}, {throttle.esc_reason}")
     if steering is not None:
         lines.append(f"steers: {source_name(steering.source)}, {steering.reason}")
     near = sorted((range_m, name) for name, range_m in ranges_m.items() if range_m < NEAR_M)
-    lines.append("near:   " + (", ".join(f"{name.replace('_', ' ')} {max(0.0, range_m):.2f} m"
-                                         for range_m, name in near) or f"nothing within {NEAR_M:g} m"))
-    lines.append(f"--> {_advice(steering, throttle, is_blocked)}")
+    lines += ["near:   " + (", ".join(f"{name.replace('_', ' ')} {max(0.0, range_m):.2f} m" for range_m, name in near)
+                            or f"nothing within {NEAR_M:g} m"),
+              f"--> {_advice(steering, throttle, is_blocked)}"]
     return [part for line in lines for part in textwrap.wrap(line, max(20, columns - 1), subsequent_indent="        ")]
 
 
@@ -298,13 +298,9 @@ def _advice(steering, throttle, is_blocked):
             return ADVICE[state.cause]
     if steering is None or throttle is None:
         return "the car is silent: does it run?"
-    if is_blocked:
-        return BACK_OUT
-    if throttle.mode == causes.AUTONOMOUS:
-        return "let go of P to stop"
-    if throttle.asked < 0 and throttle.esc_cause in NO_REVERSE:
-        return REVERSE
-    return "let go of M to stop"
+    return next(advice for holds, advice in (
+        (is_blocked, BACK_OUT), (throttle.mode == causes.AUTONOMOUS, "let go of P to stop"),
+        (throttle.asked < 0 and throttle.esc_cause in NO_REVERSE, REVERSE), (True, "let go of M to stop")) if holds)
 
 
 def main():
