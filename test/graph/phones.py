@@ -29,8 +29,8 @@ class Network:
 
     def add_node(self, name: str = "phone_drive", make: dict | None = None, **parameters: Any) -> Node:
         """Start phone_drive, with other makers than its own."""
-        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN, **(make or {})), name,
-                              parameters)
+        return self.graph.add(partial(PhoneDrive, make_server=self._start, **(make or {})), name,
+                              {"pin": PIN, **parameters})
 
     def _start(self, config, inbox, rules):
         self.phones = {}

@@ -244,14 +244,15 @@ class FirstCheckNode:
             self._stage = self._ask
         if answer not in ("y", "n"):
             return
-        written = write(self._edits) if answer == "y" else []
-        if written and any("servo/neutral" in edit.values for edit in self._edits):
+        edits = self._edits if answer == "y" else []
+        written = write(edits)
+        if any("servo/neutral" in edit.values for edit in edits):
             self._start_neutral = self._neutral  # which stays
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
-        changed = [line for edit in self._edits for line in edit.lines] if answer == "y" else []
-        self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
+        self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results,
+                                  [line for edit in edits for line in edit.lines] + written))
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}, without calibration_drive")
         self._inbox.end()

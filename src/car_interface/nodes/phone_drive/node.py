@@ -53,19 +53,17 @@ class PhoneDrive:
 
     Args:
         make_server: as ``server.Server``.
-        make_pin: returns six digits.
         make_recordings, make_calibration: as ``Recordings`` and ``CalibrationProgram``.
     """
 
     # A page's messages count by the age of the token that they echo, however long this node stood still.
     notices_standstill = True
 
-    def __init__(self, params, inbox, make_server, make_pin=lambda: f"{secrets.randbelow(10 ** 6):06d}",
-                 make_recordings=Recordings, make_calibration=CalibrationProgram):
+    def __init__(self, params, inbox, make_server, make_recordings=Recordings, make_calibration=CalibrationProgram):
         config = read_all(params, PhoneDriveConfig)
         self._inbox = inbox
         now_ns = inbox.clocks.now_ns()
-        pin = make_pin() if config.pin == AUTO else str(config.pin)
+        pin = f"{secrets.randbelow(10 ** 6):06d}" if config.pin == AUTO else str(config.pin)
         self._phones = Phones(pin, now_ns, config.watch_without_pin, config.e_stop)
         self._stored_e_stop: bool | None = config.e_stop  # None: it is just being stored
         self._calls = 0  # that were begun and not answered
