@@ -94,19 +94,17 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
 
 def remarks(computer: Computer) -> list[str]:
     """Return what the user has to know of the computer: also what the pins of its header are, and what they need."""
-    lines, header = [], computer.header
-    if computer.user == ROOT:
-        lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
-    if not computer.has_udev:
-        lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
-                     "computer itself, too; it makes the devices that a container is given.")
-    if header.computer:
-        missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
-        note = header.ports.get(header.port, "")
-        lines += [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
-                  f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
-                  + f". If a log-in console has that: {header.console_remedy}"]
-    return lines
+    header = computer.header
+    missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
+    note = f": {header.ports[header.port]}" if header.port in header.ports else ""
+    return [line for holds, line in (
+        (computer.user == ROOT, "root needs no groups. For the user who will drive: setup_hardware --user NAME"),
+        (not computer.has_udev,
+         "There is no udevadm here, as in a container: the udev rule was left out. Run this on the computer itself, "
+         "too; it makes the devices that a container is given."),
+        (header.computer, f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}"),
+        (header.computer, f"A Teensy on pins 8 and 10 is on {header.port}{note}. If a log-in console has that: "
+                          f"{header.console_remedy}")) if holds]
 
 
 def read_computer(user: str, rules: str) -> Computer:
