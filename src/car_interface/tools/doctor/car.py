@@ -51,10 +51,6 @@ class Node(NamedTuple):
         """Return whether it's there and answers."""
         return self.state == RUNNING
 
-    def report(self, about: str) -> str:
-        """Return the name of one of its reports on /diagnostics."""
-        return f"{self.path.strip('/')}: {about}"
-
 
 def restart_remedy(process: str) -> str:
     """Return how to start a node again that hangs."""
@@ -135,21 +131,21 @@ class Report(NamedTuple):
 
 
 def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
-                      reported: Sequence[str] = ()) -> list[Finding]:
+                      told: Collection[str] = ()) -> list[Finding]:
     """Return one finding for all that is well, and one for each that is not.
 
     Those about command topics and the battery are left out, which have findings of their own.
 
     Args:
         reporting: the paths of the running nodes, which should each report.
-        reported: the names of reports that another finding covers.
+        told: what the reports are about whose faults another finding tells.
     """
     ours = [report for report in reports if report.about not in (COMMAND_TOPICS, BATTERY)]
     good, nodes = [report.name for report in ours if report.level == OK], {report.node for report in reports}
     return all_of(
         "reports",
         (good, OK, ", ".join(good)),
-        *((report.level != OK and report.name not in reported, min(report.level, BAD),
+        *((report.level != OK and report.about not in told, min(report.level, BAD),
            f"{report.name}: {report.message}", report.remedy or MORE) for report in ours),
         *((path.strip("/") not in nodes, BAD, f"{path} runs, but doesn't report on /diagnostics",
            f"See whether it hangs: rosnode ping {path}", BY_SILENCE) for path in reporting))

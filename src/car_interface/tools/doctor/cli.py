@@ -24,6 +24,7 @@ from typing import Iterator
 from car_interface.common.black_box_folder import default_folder
 from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
+from car_interface.teleop.gamepad import DRIVER_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 from car_interface.tools.doctor import car as checks
 from car_interface.tools.doctor import computer, devices
@@ -102,27 +103,24 @@ def examine(options: argparse.Namespace) -> Iterator[Finding]:
     of_board = board.findings(deadline_s) if board else _virtual_board(car)
     yield from of_board + topics_trouble
     if heard:
-        yield from _check_heard(car, hub, heard, reporting, worst(of_board) == BAD)
+        yield from _check_heard(car, heard, reporting, worst(of_board) == BAD)
     yield from black_box.findings(deadline_s)
 
 
-def _check_heard(car, hub, heard, reporting, board_is_bad):
+def _check_heard(car, heard, reporting, board_is_bad):
     """Yield the findings about who drives, gamepad and reports; a fault that another finding tells is left out."""
-    told, turn_arb, board = [], car.runs("turn_arb"), car.runs("pca9685")
-    if turn_arb:
-        yield from checks.check_steering(heard.steering, turn_arb)
+    link, gamepad = heard.link, heard.gamepad
+    if car.runs("turn_arb"):
+        yield from checks.check_steering(heard.steering, car.nodes["turn_arb"])
     reports = checks.reports_of(heard.reports, car.namespace)
     yield from checks.check_command_topics(reports)
     yield from checks.check_battery(reports)
-    if hub and heard.link:
-        told += [hub.report(LINK_REPORT)] + [hub.report(CLOCK_REPORT)] * (heard.link.level != OK)
-    if board and board_is_bad:
-        told.append(board.report(BOARD_REPORT))
-    if heard.gamepad:
-        yield from checks.check_gamepad(heard.gamepad)
-        told.append(car.nodes["teleop_logi"].report(GAMEPAD_REPORT))
-        told += [heard.gamepad.driver.name] if heard.gamepad.driver else []
-    yield from checks.check_diagnostics(reports, reporting, told)
+    if gamepad:
+        yield from checks.check_gamepad(gamepad)
+    yield from checks.check_diagnostics(reports, reporting, {about for is_told, about in (
+        (link, LINK_REPORT), (link and link.level != OK, CLOCK_REPORT),
+        (board_is_bad and car.runs("pca9685"), BOARD_REPORT),
+        (gamepad, GAMEPAD_REPORT), (gamepad and gamepad.driver, DRIVER_REPORT)) if is_told})
 
 
 def _virtual_board(car):

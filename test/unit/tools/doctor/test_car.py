@@ -120,7 +120,7 @@ OTHER = Report("car1/pca9685: servo board", BAD, "nothing answers")
     ([STEERING], "/", ["/turn_arb"], [], [OK]),
     ([STEERING, BOARD], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
     ([STEERING, STALE], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
-    ([STEERING, BOARD, RAIL], "/", ["/turn_arb", "/pca9685"], [BOARD.name], [OK, WARN]),
+    ([STEERING, BOARD, RAIL], "/", ["/turn_arb", "/pca9685"], [BOARD.about], [OK, WARN]),
     ([STEERING, OTHER], "/", ["/turn_arb"], [], [OK]),
     ([STEERING, OTHER], "/car1", ["/car1/pca9685"], [], [BAD]),
     ([STEERING], "/", ["/turn_arb", "/pca9685"], [], [OK, BAD]),
