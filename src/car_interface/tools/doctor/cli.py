@@ -46,7 +46,8 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--port", help="the Teensy's serial port")
     parser.add_argument("--i2c", dest="bus", help=f"the servo board's bus: a path, a number, {AUTO}, or {VIRTUAL}")
     parser.add_argument("--address", type=lambda text: int(text, 0), help="the servo board's address, such as 0x40")
-    parser.add_argument("--ns", dest="namespace", default=os.environ.get("ROS_NAMESPACE"),
+    parser.add_argument("--ns", dest="namespace", type=lambda text: "/" + text.strip("/"),
+                        default=os.environ.get("ROS_NAMESPACE"),
                         help="the car's namespace; by default that of the car that runs")
     parser.add_argument("--probe", action="store_true",
                         help="look for a servo board on all I2C buses; chips of the computer's own are asked, too")
@@ -54,8 +55,6 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     if options.address is not None and options.address not in devices.ADDRESSES:
         parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{devices.ADDRESSES[0]:02x} to "
                      f"0x{devices.ADDRESSES[-1]:02x}")
-    if options.namespace is not None:
-        options.namespace = "/" + options.namespace.strip("/")
     return options
 
 
