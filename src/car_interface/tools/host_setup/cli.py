@@ -67,29 +67,27 @@ class SetupStep(NamedTuple):
 
 def plan(computer: Computer, rules: str) -> list[SetupStep]:
     """Return the steps that are left to do, in order; ``rules`` is the path of the package's udev rules."""
-    steps = [SetupStep(f"make the group {group}", ("groupadd", "--system", group))
-             for group in GROUPS if group not in computer.groups]
     missing = [group for group in GROUPS if group not in computer.joined]
-    if missing and computer.user != ROOT:
-        steps.append(SetupStep(f"add {computer.user} to {', '.join(missing)}",
-                               ("usermod", "--append", "--groups", ",".join(missing), computer.user),
-                               otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
-                                         f"{computer.user} GROUP",
-                               remark=f"Groups count from the next log-in: {computer.user} must log out and in again, "
-                                      "everywhere."))
-    if computer.has_udev and not computer.rules_are_new:
+    lacks_rules = computer.has_udev and not computer.rules_are_new
+    return [step for is_left, step in (
+        *((group not in computer.groups, SetupStep(f"make the group {group}", ("groupadd", "--system", group)))
+          for group in GROUPS),
+        (missing and computer.user != ROOT, SetupStep(
+            f"add {computer.user} to {', '.join(missing)}",
+            ("usermod", "--append", "--groups", ",".join(missing), computer.user),
+            otherwise=f"a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add {computer.user} GROUP",
+            remark=f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")),
         # After the groups: udev looks their names up when it reads the rules.
-        steps += [
-            SetupStep(f"install {RULES_FOLDER}/{RULES_NAME}",
-                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}"),
-                      remark=f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew."),
-            SetupStep("have udev read it", ("udevadm", "control", "--reload-rules"), True,
-                      "udev reads it at the next boot"),
-            SetupStep("have udev apply it to what is plugged in",
-                      ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=i2c-dev"), True,
-                      "plug the Teensy out and in again, or start the computer anew"),
-        ]
-    return steps
+        (lacks_rules, SetupStep(
+            f"install {RULES_FOLDER}/{RULES_NAME}",
+            ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}"),
+            remark=f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew.")),
+        (lacks_rules, SetupStep(
+            "have udev read it", ("udevadm", "control", "--reload-rules"), True, "udev reads it at the next boot")),
+        (lacks_rules, SetupStep(
+            "have udev apply it to what is plugged in",
+            ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=i2c-dev"), True,
+            "plug the Teensy out and in again, or start the computer anew"))) if is_left]
 
 
 def remarks(computer: Computer) -> list[str]:
