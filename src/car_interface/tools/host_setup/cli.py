@@ -190,9 +190,8 @@ WantedBy=multi-user.target
 
 def _quoted(text, is_command=True):
     """Return a word as systemd reads it: systemd.syntax(7), systemd.service(5)."""
-    for plain, escaped in (("\\", "\\\\"), ('"', '\\"'), ("%", "%%"), *((("$", "$$"),) if is_command else ())):
-        text = text.replace(plain, escaped)
-    return f'"{text}"'
+    escapes = str.maketrans({"\\": "\\\\", '"': '\\"', "%": "%%", **({"$": "$$"} if is_command else {})})
+    return f'"{text.translate(escapes)}"'
 
 
 # What undoes --autostart, and stops what it started.
