@@ -99,9 +99,9 @@ class CarDisplay:
         steering, throttle = self._steering.fresh(now_ns), self._throttle.fresh(now_ns)
         known = steering is not None and abs(steering.turn_radius) > 0  # nor is it NaN
         curvature_per_m = 1 / steering.turn_radius if known else 0.0
-        markers = [*self._body(), *self._wheels(curvature_per_m), self._words(steering, throttle)]
-        markers += self._arrow(curvature_per_m) if known else [self._nothing("steering", index) for index in range(2)]
-        markers += [self._fan(index, measured.fresh(now_ns)) for index, measured in enumerate(self._ranges)]
+        arrow = self._arrow(curvature_per_m) if known else [self._nothing("steering", index) for index in range(2)]
+        markers = [*self._body(), *self._wheels(curvature_per_m), self._words(steering, throttle), *arrow,
+                   *(self._fan(index, measured.fresh(now_ns)) for index, measured in enumerate(self._ranges))]
         if self._trail_has_grown or self._ticks % TICKS_PER_TRAIL == 0:
             markers.append(self._trail_marker())
             self._trail_has_grown = False
