@@ -279,7 +279,8 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def initialize(self, server):
         super().initialize(server)
-        self.unhandled = self._unsent = self._pings = 0
+        self.room = threading.Semaphore(MAX_UNHANDLED)  # for messages that the node has not handled yet
+        self._unsent = self._pings = 0
         self._number = None
 
     def prepare(self):
@@ -300,22 +301,14 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def on_message(self, message):
         """Pass a message on; end a connection that sends faster than the node handles."""
-        if self.unhandled >= MAX_UNHANDLED:
+        if self.room.acquire(blocking=False):
+            self._server.inbox.put(self._handle, (self._number, message), on_drop=self.room.release)
+        else:
             self.abort()
-            return
-        self.unhandled += 1
-        self._server.inbox.put(self._handle, (self._number, message), on_drop=self._count_handled)
 
     def _handle(self, item, now_ns):
-        self._count_handled()
+        self.room.release()
         self._server.phones.receive(*item, now_ns)
-
-    def _count_handled(self):
-        """Count a message that the node has handled, or that was dropped; called in any thread."""
-        def count():
-            self.unhandled -= 1
-        with suppress(RuntimeError):  # the server has ended, and the inbox drops what it had sent
-            self._server.loop.call_soon_threadsafe(count)
 
     def on_ping(self, data):
         """Limit what is answered: a page that doesn't take the answers would have them pile up."""
