@@ -233,8 +233,6 @@ def _probe(link, baud):
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
     """Return a finding when other programs have the port open; bytes that they read, the hub can't."""
-    if not holders:
-        return []
     names = [f"{name} (process {pid})" for pid, name in holders]
     programs = [name for _, name in holders]
     hubs = [name for name, program in zip(names, programs) if program in HUBS]
@@ -247,7 +245,7 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
         ("ModemManager" in programs, BAD, what,
          f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"),
         (set(programs) & set(PROGRAMS), BAD, what, f"That is a log-in console: {removal_remedy(path)}"),
-        (True, BAD, what, f"End it; more about it: fuser -v {path}"))
+        (holders, BAD, what, f"End it; more about it: fuser -v {path}"))
 
 
 def check_link(link: Any, port: str, node: Node) -> list[Finding]:

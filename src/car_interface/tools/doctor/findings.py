@@ -17,7 +17,6 @@ _MEANINGS = ("nothing to do", "nothing that is bad; read the warnings", "begin w
 _COLOURS = ("\033[32m", "\033[1;33m", "\033[1;31m")
 _PLAIN = "\033[0m"
 SUBJECT_WIDTH = 10
-INDENT = len("warn  ") + SUBJECT_WIDTH + 2
 NARROWEST = 60  # below it a line would be all indentation
 TICK_S = 0.02
 
@@ -41,7 +40,7 @@ def all_of(subject: str, *cases: tuple) -> list[Finding]:
 
 
 def first(subject: str, *cases: tuple) -> list[Finding]:
-    """Return the finding of the first case that holds, likewise."""
+    """Return the finding of the first case that holds, if one does, likewise."""
     return all_of(subject, *cases)[:1]
 
 
@@ -58,7 +57,7 @@ def render(finding: Finding, width: int | None = None, colour: bool = False) -> 
     if width is None:
         text = head + " | ".join(parts)
     else:
-        blank = " " * INDENT
+        blank = " " * len(head)
         indents = ((head, blank), (blank, blank + " " * len("remedy: ")))
         text = "\n".join(textwrap.fill(part, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
                                        break_long_words=False, break_on_hyphens=False)

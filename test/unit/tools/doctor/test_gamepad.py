@@ -61,7 +61,8 @@ def test_gamepad_that_works_is_ok_and_so_is_none_where_phones_drive():
     pytest.param({"axes": 6, "buttons": 12}, WARN,
                  "6 axes and 12 buttons, as a Logitech gamepad has in D mode", "needs its switch at X", id="d_mode"),
     pytest.param({"throttle_stick": causes.NOT_AT_REST, "reason": "no deadman is held; the gamepad's throttle_axis 4 "
-                  "is 1.00 and was not seen at its rest: it doesn't count"}, WARN, "throttle_axis 4 is 1.00 and was not",
+                  "is 1.00 and was not seen at its rest: it doesn't count"}, WARN,
+                 "throttle_axis 4 is 1.00 and was not",
                  "Let go of the stick. If the axis stays where it is, it is a trigger", id="trigger_for_a_stick"),
     pytest.param({"cause": causes.NOT_REARMED, "reason": "the gamepad was silent; let go"}, WARN,
                  "the gamepad was silent; let go", "Let go of both deadman buttons once", id="not_rearmed"),
