@@ -9,6 +9,8 @@ import time
 from concurrent.futures import Future
 from typing import Any, Callable, NamedTuple, Sequence
 
+from car_interface.ros.clocks import SYSTEM
+
 OK, WARN, BAD = range(3)  # also the exit codes, and the levels of diagnostic_msgs/DiagnosticStatus
 BY_SILENCE = True  # of a finding
 
@@ -90,9 +92,7 @@ class Task:
 
     def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
         """Return the result, or ``None`` and what went wrong, by a deadline of the monotonic clock."""
-        while not self._outcome.done() and time.monotonic() < deadline_s:
-            time.sleep(TICK_S)
-        if not self._outcome.done():
+        if not SYSTEM.wait_for(self._outcome.done, deadline_s - time.monotonic(), TICK_S):
             return None, [Finding(BAD, self._subject, "no answer in time: given up",
                                   "See whether a device hangs: dmesg", by_silence=True)]
         error = self._outcome.exception()

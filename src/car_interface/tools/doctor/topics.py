@@ -16,6 +16,7 @@ from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
 from car_interface.teleop.handover import PHONE_TOPIC
@@ -120,13 +121,11 @@ def listen(car: Car, hub: Node | None, reporting: Sequence[str]) -> TopicReports
         rospy.Subscriber(f"{turn_arb.path}/state", SteeringState, states.append)
     rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
     wanted = {path.strip("/") for path in reporting}
-    deadline_s = time.monotonic() + LISTEN_S
-    while time.monotonic() < deadline_s:
-        has_link, has_state = links or not hub, len(states) > 1 or not turn_arb
-        has_gamepad = not gamepad or gamepad.is_done()
-        if has_link and has_state and has_gamepad and wanted <= {report.node for report in list(reports.values())}:
-            break
-        time.sleep(POLL_S)
+
+    def has_all():
+        return ((links or not hub) and (len(states) > 1 or not turn_arb) and (not gamepad or gamepad.is_done())
+                and wanted <= {report.node for report in list(reports.values())})
+    SYSTEM.wait_for(has_all, LISTEN_S, POLL_S)
     found = list(reports.values())
     return TopicReports(links[-1] if links else None, states, found, gamepad and gamepad.result(found))
 
