@@ -40,7 +40,6 @@ from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, listen
-from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 from car_interface.teleop.mappings import KEYBOARD_FRAME
 
@@ -191,17 +190,14 @@ class KeyboardDrive:
 
     def _publish(self, controls):
         config = self._config
-        message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
-                      buttons=[0] * (1 + max(BUTTONS - 1, config.manual_button, config.autonomous_button,
-                                             config.faster_button, config.slower_button)))
+        axes = {config.steer_axis: math.copysign(1.0, config.steer_scale) * controls.steering,
+                config.throttle_axis: math.copysign(1.0, config.throttle_scale) * controls.throttle}
+        buttons = ((config.manual_button, controls.manual), (config.autonomous_button, controls.autonomous),
+                   (config.faster_button, controls.scale == 1), (config.slower_button, controls.scale == -1))
+        held = {button for button, is_held in buttons if is_held}
+        message = Joy(axes=[axes.get(index, 0.0) for index in range(max(AXES, *(axis + 1 for axis in axes)))],
+                      buttons=[int(index in held) for index in range(max(BUTTONS, *(each + 1 for each, _ in buttons)))])
         message.header.stamp, message.header.frame_id = self._clocks.ros_now(), KEYBOARD_FRAME
-        message.axes[config.steer_axis] = math.copysign(1.0, config.steer_scale) * controls.steering
-        message.axes[config.throttle_axis] = math.copysign(1.0, config.throttle_scale) * controls.throttle
-        message.buttons[config.manual_button] = int(controls.manual)
-        message.buttons[config.autonomous_button] = int(controls.autonomous)
-        for button, pressed in ((config.faster_button, 1), (config.slower_button, -1)):
-            if button != NONE:
-                message.buttons[button] |= int(controls.scale == pressed)
         self._joy.publish(message)
 
     def _show(self, now_ns):
@@ -278,9 +274,9 @@ def screen_lines(steering: Any, throttle: Any, ranges_m: Mapping[str, float], is
     if throttle is not None:
         speed = "unknown" if math.isnan(throttle.speed) else f"{throttle.speed:.2f} m/s"
         cut = f", cut: {throttle.limit_reason}" if throttle.limit in causes.THROTTLE_CUTS else ""
-        lines += [f"speed {speed}   throttle {throttle.granted:.2f} of {throttle.asked:.2f} asked{cut}   "
-                  f"scale {throttle.human_scale:.1f}   mode {throttle.mode or 'none'}",
-                  f"drives: {source_name(throttle.source)}, {throttle.reason}"]
+        lines.append(f"speed {speed}   throttle {throttle.granted:.2f} of {throttle.asked:.2f} asked{cut}   "
+                     f"scale {throttle.human_scale:.1f}   mode {throttle.mode or 'none'}")
+        lines.append(f"drives: {source_name(throttle.source)}, {throttle.reason}")
         if throttle.esc_reason:
             lines.append(f"ESC:    {throttle.esc}, {throttle.esc_reason}")
     if steering is not None:
