@@ -174,8 +174,7 @@ class PhoneDrive:
         return {"done": self._recordings.begin(now_ns) if message["on"] else self._recordings.end()}
 
     def _do_calibrate(self, connection, message, now_ns):
-        program = self._calibration
-        actions = {BEGIN: program.begin, FINISH: program.finish, GIVE_UP: program.give_up}
+        actions = {BEGIN: self._calibration.begin, FINISH: self._calibration.finish, GIVE_UP: self._calibration.give_up}
         return {"done": actions[message["what"]]()}
 
     def _do_open(self, connection, message, now_ns):

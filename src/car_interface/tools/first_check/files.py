@@ -88,12 +88,9 @@ def write(edits: Sequence[Edit]) -> list[str]:
     Raises:
         CarInterfaceError: one can't be written.
     """
-    lines = []
-    for edit in edits:
-        if edit.values:
-            backup = save(edit.path, edit.values)
-            lines.append(f"written: {edit.path}; the old one is {backup}" if backup else f"{edit.path} is as it was")
-    return lines
+    backups = {edit.path: save(edit.path, edit.values) for edit in edits if edit.values}
+    return [f"written: {path}; the old one is {backup}" if backup else f"{path} is as it was"
+            for path, backup in backups.items()]
 
 
 def write_page(path: str, date: str, results: Sequence[tuple[str, Result]], written: Sequence[str]) -> str:
