@@ -91,12 +91,13 @@ def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] =
     return all_of(
         "nodes",
         (running, OK, f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}"),
-        *((True, BAD, f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be reached from "
-                      "here",
-           "If it hangs: end its process, or start the launch file again. If it's on another computer: set ROS_IP "
-           "there to an address that can be reached from here", BY_SILENCE) for process in silent),
-        (killed, BAD, f"{', '.join(killed)}: killed or crashed; the master still lists "
-                      f"{'it' if len(killed) == 1 else 'them'}, but nothing answers there",
+        *((True, BAD,
+           f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be reached from here",
+           ("If it hangs: end its process, or start the launch file again. If it's on another computer: set ROS_IP "
+            "there to an address that can be reached from here"), BY_SILENCE) for process in silent),
+        (killed, BAD,
+         (f"{', '.join(killed)}: killed or crashed; the master still lists {'it' if len(killed) == 1 else 'them'}, but "
+          "nothing answers there"),
          f"Start the launch file again: {launch}. To clear the list: rosnode cleanup"),
         (missing, WARN, f"not running in {namespace}: {', '.join(missing)}",
          f"Those that this car needs: {launch}, or each by its own file"))

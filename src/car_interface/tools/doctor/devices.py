@@ -192,16 +192,14 @@ def probe_port(port: str, baud: int):
     if holders:
         return check_holders(port, holders)
     from car_interface.teensy.link.port import PortError, SerialLink  # it needs pyserial, which may be what is missing
-    link = SerialLink(port, baud)
-    try:
-        link.open()
-        teensy = _probe(link, baud)
-    except PortError as error:
-        # Any process may have something else open at this path, such as /dev/null.
-        hubs = [holder for holder in openers(port) if holder[1] in HUBS] if error.state == BUSY else []
-        return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.remedy)]
-    finally:
-        link.close()
+    with closing(SerialLink(port, baud)) as link:
+        try:
+            link.open()
+            teensy = _probe(link, baud)
+        except PortError as error:
+            # Any process may have something else open at this path, such as /dev/null.
+            hubs = [holder for holder in openers(port) if holder[1] in HUBS] if error.state == BUSY else []
+            return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.remedy)]
     kind = "a pseudo-terminal: a virtual Teensy" if is_pseudo_terminal(port) else "a serial port, and nobody has it"
     note = port_note(port, read_header())
     if note and teensy.level == BAD:

@@ -98,11 +98,11 @@ def remarks(computer: Computer) -> list[str]:
     return [line for holds, line in (
         (computer.user == ROOT, "root needs no groups. For the user who will drive: setup_hardware --user NAME"),
         (not computer.has_udev,
-         "There is no udevadm here, as in a container: the udev rule was left out. Run this on the computer itself, "
-         "too; it makes the devices that a container is given."),
+         ("There is no udevadm here, as in a container: the udev rule was left out. Run this on the computer itself, "
+          "too; it makes the devices that a container is given.")),
         (header.computer, f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}"),
-        (header.computer, f"A Teensy on pins 8 and 10 is on {header.port}{note}. If a log-in console has that: "
-                          f"{header.console_remedy}")) if holds]
+        (header.computer, (f"A Teensy on pins 8 and 10 is on {header.port}{note}. If a log-in console has that: "
+                           f"{header.console_remedy}"))) if holds]
 
 
 def read_computer(user: str, rules: str) -> Computer:
