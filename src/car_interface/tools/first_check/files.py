@@ -69,8 +69,7 @@ def _plan(path, file, values, mapped):
             raise CarInterfaceError(f"for this gamepad {MAPPINGS} has {', '.join(useless)}: run map_gamepad again")
         text = decode_yaml(read_file(path, MAX_BYTES), path)
         content = load_yaml(path, text)
-        esc = content.get("esc")
-        if "esc/profile" in values and isinstance(esc, dict) and esc.get("profile_measured"):
+        if "esc/profile" in values and _look_up(content, "esc/profile_measured"):
             values = {**values, "esc/profile_measured": False}  # it was measured of another kind
         LOADS.get(file, load_yaml)(path, edited(text, values, path))
         output.check(path)
