@@ -78,20 +78,17 @@ def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> 
         (not virtual_bus, group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN),
         (is_closed, "input", "the gamepad", WARN)) if is_needed]
     who = read_membership()
-    if who.is_root:
-        return [Finding(OK, "groups", "this is root, which needs none; the nodes don't need root")]
-    if not needs:
-        return [Finding(OK, "groups", "none needed: the devices are virtual")]
+    if who.is_root or not needs:
+        return first("groups", (who.is_root, OK, "this is root, which needs none; the nodes don't need root"),
+                     (True, OK, "none needed: the devices are virtual"))
     inside = [group for group, _, _ in needs if group in who.of_process]
-    found = [Finding(OK, "groups", f"{who.user} is in {', '.join(inside)}")] if inside else []
-    for group, purpose, level in needs:
-        if group not in inside:
-            found += first("groups",
-                           (group in who.of_user, level, f"{who.user} joined {group} ({purpose}) after this log-in",
-                            f"Log in anew; for this terminal alone: newgrp {group}"),
-                           (group not in who.existing, level, f"there is no group {group} ({purpose})", SETUP_REMEDY),
-                           (True, level, f"{who.user} is not in {group} ({purpose})", SETUP_REMEDY))
-    return found
+    return all_of("groups", (inside, OK, f"{who.user} is in {', '.join(inside)}")) + [
+        finding for group, purpose, level in needs if group not in inside for finding in first(
+            "groups",
+            (group in who.of_user, level, f"{who.user} joined {group} ({purpose}) after this log-in",
+             f"Log in anew; for this terminal alone: newgrp {group}"),
+            (group not in who.existing, level, f"there is no group {group} ({purpose})", SETUP_REMEDY),
+            (True, level, f"{who.user} is not in {group} ({purpose})", SETUP_REMEDY))]
 
 
 def group_of(path: str, usual: str) -> str:
