@@ -47,7 +47,8 @@ def make_folder(folder: str) -> None:
     try:
         os.makedirs(folder, FOLDER_MODE, exist_ok=True)
     except FileExistsError:  # something else is there
-        pass
+        check_folder(folder)
+        raise
     check_folder(folder)
 
 

@@ -23,6 +23,7 @@ from car_interface.sim.pca9685_chip import LED0, MODE1, SLEEP, VirtualPca9685
 
 LINGER_S = 3.0  # after the last client: time for roslaunch to restart a node; a guard is a client, too
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
+MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
 HELD_S = 1.0  # the kernel's timeout, after which a transfer on a bus that is held fails
 
 
@@ -59,12 +60,12 @@ class ChipServer:
                 alone_since_s = now_s
 
     def _accept(self):
-        """Take a client of this user's."""
+        """Take a client of this user's, if there is room for one."""
         try:
             client, _ = self._listener.accept()
         except OSError:  # it has gone again
             return
-        if wire.peer(client)[1] != os.geteuid():
+        if len(self._clients) >= MAX_CLIENTS or wire.peer(client)[1] != os.geteuid():
             client.close()
             return
         client.setblocking(False)
