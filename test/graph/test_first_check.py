@@ -287,6 +287,18 @@ def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path
 
 
 @pytest.mark.once
+def test_neutral_that_throttle_arb_does_not_take_back_in_time_is_told(tmp_path):
+    car, asked = Box(tmp_path).begin(), []
+    car.skip_to("the ESC's neutral")
+    car.program.inbox.graph.call = lambda service, service_type, request, on_done: asked.append(request)
+    car.push(0.0, 0.3)
+    car.type("+", 0.1)
+    car.type("q", 0.1)
+    assert [request.config.ints[0].value for request in asked] == [4920, 4915]
+    assert "/throttle_arb/servo has not answered: its neutral may still be 4920" in car.graph.lines()
+
+
+@pytest.mark.once
 @pytest.mark.parametrize("frame, buttons, name", [
     ("gamepad: Wireless Controller", 13, "L1"), ("gamepad: Logitech Gamepad F710", 11, "LB"), ("keyboard", 11, "key M"),
     ("", 11, "button 4")])

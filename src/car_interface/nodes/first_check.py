@@ -57,7 +57,7 @@ from car_interface.tools.first_check.files import find_folder, plan, write, writ
 
 RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
-TUNED_WITHIN_S, POLL_S = 1.0, 0.02
+TUNED_WITHIN_S, POLL_S = 5.0, 0.02
 INTRODUCTION = """First check: five minutes, one question at a time, the car on a box.
 With keyboard_drive in another terminal: M is the manual deadman, P the
 autonomous one, A and D the left stick, W and S the right one, E and C the right
@@ -161,9 +161,11 @@ class FirstCheckNode:
         self._keys.restore()
         self._text.keep()
         self._await_tuning()
-        if self._neutral != self._start_neutral:
+        tuned = self._neutral
+        if tuned != self._start_neutral:
             self._tune(self._start_neutral)
-            self._await_tuning()
+            if not self._await_tuning():
+                rospy.logwarn("%s has not answered: its neutral may still be %d", self._inbox.resolve_name(SERVO), tuned)
 
     def _wait(self, now_ns, typed):
         car = self._check.car
@@ -203,15 +205,16 @@ class FirstCheckNode:
     def _tune(self, neutral):
         """Have throttle_arb take a neutral."""
         self._neutral, self._is_tuning = neutral, True
-        request_values(self._inbox, SERVO, {"neutral": neutral}, self._on_tuned)
+        request_values(self._inbox, SERVO, {"neutral": neutral}, partial(self._on_tuned, neutral))
 
-    def _on_tuned(self, accepted, problem):
+    def _on_tuned(self, neutral, accepted, problem):
         if accepted is None:
             rospy.logwarn("%s can't be tuned: %s", self._inbox.resolve_name(SERVO), problem)
-        self._is_tuning = False
+        if neutral == self._neutral:  # else a later one is under way
+            self._is_tuning = False
 
     def _await_tuning(self):
-        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
+        return self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
 
     # --- its end ---
 

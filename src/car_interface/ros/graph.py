@@ -67,7 +67,7 @@ class RosGraph:
         def run():
             try:
                 answer, problem = rospy.ServiceProxy(service, service_type)(request), ""
-            except (rospy.ServiceException, rospy.ROSException, OSError) as error:
+            except Exception as error:  # of many kinds: of rospy, of XML-RPC, of the network
                 answer, problem = None, str(error)
             on_done(answer, problem)
         self.start_thread(run, "call")
