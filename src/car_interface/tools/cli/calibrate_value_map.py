@@ -98,7 +98,7 @@ def config_of(options: argparse.Namespace) -> MapConfig:
         roles.VALUE.topics[0])
     is_duty = value.startswith(DUTY)
     throttle = _throttle(options)._replace(channel=_duty_channel(value)) if is_duty else None
-    topics = topics_of(options, value=None if is_duty else value, imu=options.imu)
+    topics = topics_of(options, value=None if is_duty else value, imu=options.imu or None)
     esc_channel = None if options.esc_channel == NO_CHANNEL else options.esc_channel
     check_channel("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
     if options.acceleration == BY_IMU and roles.IMU.name not in topics:

@@ -300,7 +300,8 @@ class MotionWatch:
 def _slope(samples):
     """Return the slope of a line through (time, value, …) in least squares; the times differ."""
     times, values = np.transpose([sample[:2] for sample in samples])
-    offsets = times - times.mean()
+    offsets = times - times[0]
+    offsets -= offsets.mean()
     return float(offsets @ (values - values[0]) / (offsets @ offsets))  # exactly 0 of values that are all the same
 
 
