@@ -165,7 +165,8 @@ class FirstCheckNode:
         if tuned != self._start_neutral:
             self._tune(self._start_neutral)
             if not self._await_tuning():
-                rospy.logwarn("%s has not answered: its neutral may still be %d", self._inbox.resolve_name(SERVO), tuned)
+                rospy.logwarn("%s has not answered: its neutral may still be %d",
+                              self._inbox.resolve_name(SERVO), tuned)
 
     def _wait(self, now_ns, typed):
         car = self._check.car
