@@ -55,7 +55,6 @@ from car_interface.tools.calibration.drive.config import drive_config, parse
 from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
-from car_interface.tools.calibration.steering.calibrate import SIGNS
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
@@ -362,7 +361,8 @@ def drive_markers(odom_frame, base_frame, start, path, radius_m, points, text) -
         markers += [_line("area", index, odom_frame, AREA, line) for index, line in enumerate((circle, cross))]
     if path:  # rviz reports a line of fewer points than two as an error
         markers.append(_line("path", 0, odom_frame, PATH, path, 2 * LINE_M))
-    arcs = [(point, SIGNS[side] * point.radius_m) for side, table in points.items() for point in table]
+    arcs = [(point, point.radius_m if side == "left" else -point.radius_m)
+            for side, table in points.items() for point in table]
     markers += [_line("known", index, base_frame, COLORS[terminal.mark(point)], _arc(turn_m))
                 for index, (point, turn_m) in enumerate(arcs) if point.radius_m <= WIDEST_M]
     label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
