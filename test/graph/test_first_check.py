@@ -176,7 +176,7 @@ def test_whole_conversation_on_a_box_and_its_files_and_page(tmp_path):
     assert car.vehicle.steered_per_m > 0.2
     car.type("k", 2.5)
     assert car.killed == ["/pca9685"] and abs(car.board.counts[STEERING] - CENTER) <= 1
-    assert "and the node is back. Did the front wheels go straight?" in car.terminal.text
+    assert "and the node is back. Did the front wheels go straight at once?" in car.terminal.text
     car.type("y")
 
     text = car.terminal.text

@@ -16,7 +16,8 @@ FULL_STICK = 0.8  # held at its end
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel
 MAX_CENTER = 0.4  # farther off, the servo's horn sits wrong: one of its 25 teeth is 14.4°, 0.32 of a side's 45°
 MIN_END = 0.3  # nearer ends leave a car that hardly turns
-SAFE_WITHIN_NS, BACK_WITHIN_NS = 2 * NS_PER_S, 20 * NS_PER_S  # a launch file restarts a node after 1 s
+# A launch file restarts a node after 1 s. Where a node starts slowly nobody reports the board's output for a while.
+SAFE_WITHIN_NS, BACK_WITHIN_NS = 2 * NS_PER_S, 20 * NS_PER_S
 NOT_HELD = "hold it, and type then"
 PUSHED = 0.1  # of a stick: moved on purpose
 NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_range
@@ -159,12 +160,16 @@ class BoardKilled(_Steers):
         if not self._centered and self._is_centered(now_ns):
             self._centered = f"{self.car.sender} reported the center {after_ns / NS_PER_S:.1f} s after the kill"
         if self._centered and self.car.sender == self._node:
-            self.go_on(f"{self._centered}, and the node is back. Did the front wheels go straight?")
+            self.go_on(f"{self._centered}, and the node is back. Did the front wheels go straight at once?")
             return None
+        reported_after_ns = after_ns - self.car.output.silence_s(now_ns) * NS_PER_S
         return first(
-            (not self._centered and after_ns > SAFE_WITHIN_NS,
+            (not self._centered and reported_after_ns > SAFE_WITHIN_NS,
              broken("nobody centered the steering within two seconds",
                     "let the guard run: guard in pca9685.yaml; rosrun car_interface doctor")),
+            (not self._centered and after_ns > BACK_WITHIN_NS,
+             broken("nobody reports what the servo board holds, and the node isn't back",
+                    "let the guard run: guard in pca9685.yaml; start the node again by its launch file")),
             (after_ns > BACK_WITHIN_NS,
              broken("centered, but the node isn't back", "start it again by its launch file, which restarts it")))
 
@@ -175,8 +180,9 @@ class BoardKilled(_Steers):
     def answer(self, key, now_ns):
         outcome = first(
             (key == "y", fine(f"{self._centered}, and the node came back")),
-            (key == "n", broken("the board reports the center, and the wheels aren't there",
-                                "look at the servo's plug and power; center the steering first")),
+            (key == "n", broken("the board reports the center, and the wheels weren't there at once",
+                                "look at the servo's plug and power; center the steering first; let the guard run: "
+                                "guard in pca9685.yaml")),
             (self.car.by_program(now_ns), NOT_HELD),
             (self._is_centered(now_ns), "the wheels must be turned first"))
         if outcome is not None:

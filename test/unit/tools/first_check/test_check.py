@@ -210,6 +210,17 @@ def kill(guarded=True, back=True):
     return act
 
 
+def report_again(bench):
+    bench.silent = set()
+    bench.run(0.1)
+
+
+def hold_on(bench):
+    """The board's output is reported again, as it was."""
+    bench.board, bench.silent = bench.check.car.output.value, set()
+    bench.run(1.6)
+
+
 def answered(title, acts, keys):
     """A bench after the question was asked, acts and keys."""
     bench = Bench()
@@ -234,6 +245,8 @@ RIGHT = [
     ("sonar front right", [show_hand("front_right")], "", "it sees the hand: 0.20 m"),
     ("letting go", [let_go], "y", "neutral or its brake within 0.1 s, and the wheels stood"),
     ("unplugging", [pull_cable, plug_in], "", "noticed, and its wheels were heard again"),
+    ("killing", [kill(guarded=False, back=False), lambda bench: bench.run(15.0), report_again], "y",
+     "/pca9685 reported the center 16.1 s after the kill, and the node came back"),
     ("killing", [kill()], "y", "/pca9685_guard reported the center 0.6 s after the kill, and the node came back"),
 ]
 
@@ -315,8 +328,9 @@ REPAIRS = [
     ("letting go", [let_go], "n", "go on after the release", "disconnect the battery"),
     ("unplugging", [], "n", "wasn't noticed", "port:="),
     ("unplugging", [pull_cable], "n", "doesn't come back", "setup_hardware"),
-    ("killing", [kill(), ], "n", "the wheels aren't there", "the servo's plug"),
-    ("killing", [kill(guarded=False, back=False), lambda bench: bench.run(2.0)], "", "nobody centered", "guard"),
+    ("killing", [kill(), ], "n", "the wheels weren't there at once", "the servo's plug"),
+    ("killing", [kill(guarded=False, back=False), hold_on], "", "nobody centered", "guard"),
+    ("killing", [kill(guarded=False, back=False), lambda bench: bench.run(20.0)], "", "nobody reports", "guard"),
     ("killing", [kill(back=False), lambda bench: bench.run(20.0)], "", "the node isn't back", "launch file"),
 ]
 
