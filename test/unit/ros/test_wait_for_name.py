@@ -168,10 +168,12 @@ def test_free_name_is_claimed_at_once_and_until_the_node_has_registered(waiting)
     assert not is_claimed()
 
 
-def test_name_that_a_running_node_has_is_not_claimed_until_it_ends(waiting):
+def test_name_that_a_running_node_has_is_not_claimed_until_it_ends_and_standard_error_says_so(waiting, capsys):
     claimed = []
     claim, pauses = waiting([RUNS, RUNS, NOBODY], lambda count: claimed.append(is_claimed()))
     assert claimed == [False, False] and pauses == [0.01, 0.01]
+    first, last = capsys.readouterr().err.splitlines()
+    assert "[WARN]" in first and WAITS in first and f"{NAMED} has ended: taking over" in last
     with claim:
         assert is_claimed()
 
