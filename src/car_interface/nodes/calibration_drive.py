@@ -100,7 +100,7 @@ class CalibrationDriveNode:
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
         self._make_recording = make_recording
         now_ns = self._clocks.now_ns()
-        self._timer, self._ticks = RateTimer(RATE_HZ, now_ns), 0
+        self._timer = RateTimer(RATE_HZ, now_ns)
         self._enter(self._check, now_ns)
         self._recording = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
@@ -133,7 +133,6 @@ class CalibrationDriveNode:
         """Handle what arrived; then the stage."""
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
-            self._ticks += 1
             typed = ((self._keys.read() or "") if self._has_keys else "").lower()
             if "q" in typed:
                 self._inbox.end()
@@ -193,13 +192,13 @@ class CalibrationDriveNode:
             self._say(*(f"  - {text}" for text in missing))
             are = "these are" if len(missing) > 1 else "this is"
             raise CarInterfaceError(f"it can't begin: {are} missing, see above")
-        elif waited_ns > NS_PER_S and self._ticks % TICKS_PER_SHOW == 0:
+        elif waited_ns > NS_PER_S and self._timer.ticks % TICKS_PER_SHOW == 0:
             self._announce("waiting", [f"waits: {text}" for text in missing], now_ns)
             self._publish_state(WAITING, "; ".join(missing))
 
     def _await_recorder(self, now_ns, typed):
         recording = self._recording
-        if self._ticks % RATE_HZ or not recording.has_subscribed(self._inbox.resolve_name("odom")):
+        if self._timer.ticks % RATE_HZ or not recording.has_subscribed(self._inbox.resolve_name("odom")):
             if not recording.has_ended and now_ns - self._begun_ns <= RECORDER_WITHIN_NS:
                 return
             self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
@@ -221,7 +220,7 @@ class CalibrationDriveNode:
         step = drive.step(now_ns, self._grant.trouble(now_ns))
         if step.steering is not None:
             self._ask_for(step.steering, step.speed_mps)
-        if self._ticks % TICKS_PER_SHOW == 0 or step.phase == DONE:
+        if self._timer.ticks % TICKS_PER_SHOW == 0 or step.phase == DONE:
             self._show(step, now_ns)
         if step.phase == DONE:
             self._begin_end(f"{step.text}. You can let go. Calibrating …")
@@ -328,7 +327,7 @@ class CalibrationDriveNode:
         lines = self._recording.report()
         if lines is None:
             self._announce("page", [f"makes the recording's page: {(now_ns - self._begun_ns) // NS_PER_S} s"], now_ns)
-            if self._ticks % TICKS_PER_SHOW == 0:
+            if self._timer.ticks % TICKS_PER_SHOW == 0:
                 self._publish_state(DONE, "it makes the recording's page")
             return
         self._text.show([])

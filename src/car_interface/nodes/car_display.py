@@ -69,7 +69,6 @@ class CarDisplay:
         self._ranges = [listen(f"sonar/{name}", Range, inbox, RANGE_TIMEOUT_S) for name in SONARS]
         self._trail: deque[Point] = deque(maxlen=TRAIL_POINTS)  # where it was, at least 5 cm apart
         self._trail_has_grown = False  # since it was last sent
-        self._ticks = 0
         self._timer = RateTimer(RATE_HZ, inbox.clocks.now_ns())
         self._markers = advertise("~markers", MarkerArray, inbox, queue_size=1, latch=True)
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
@@ -102,10 +101,9 @@ class CarDisplay:
         arrow = self._arrow(curvature_per_m) if known else [self._nothing("steering", index) for index in range(2)]
         markers = [*self._body(), *self._wheels(curvature_per_m), self._words(steering, throttle), *arrow,
                    *(self._fan(index, measured.fresh(now_ns)) for index, measured in enumerate(self._ranges))]
-        if self._trail_has_grown or self._ticks % TICKS_PER_TRAIL == 0:
+        if self._trail_has_grown or self._timer.ticks % TICKS_PER_TRAIL == 1:
             markers.append(self._trail_marker())
             self._trail_has_grown = False
-        self._ticks += 1
         self._markers.publish(MarkerArray(markers))
 
     def _body(self):

@@ -40,7 +40,6 @@ class CommandNode:
         self._rate_hz, self._channel = rate_hz, channel
         now_ns = self._clocks.now_ns()
         self._timer = RateTimer(rate_hz, now_ns)
-        self._ticks = 0
         self._decision = None
         self._was_commanded = False  # since the last tick
         self._unlogged = []  # when its log line is due, the decision before, the decision
@@ -80,16 +79,15 @@ class CommandNode:
         return True
 
     def _tick(self, now_ns):
-        self._ticks += 1
         self._reconfigure.step(now_ns)
         if not self._decide(now_ns) and (self.repeats_change or not self._was_commanded):
             self._publish_command()
         self._was_commanded = False
-        if self._ticks % TICKS_PER_STATE == 0:
+        if self._timer.ticks % TICKS_PER_STATE == 0:
             self._publish_state(self._decide_now(now_ns))
         while self._unlogged and now_ns >= self._unlogged[0][0]:
             self._log(*self._unlogged.pop(0)[1:])
-        if self._ticks % self._rate_hz == 0:  # a topic latches one message in a process, also for two nodes in it
+        if self._timer.ticks % self._rate_hz == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
 
     def _check_request(self, who, name, value, cause, effect):

@@ -134,7 +134,7 @@ class KeyboardDrive:
         self._keyboard = Keyboard(counts_without_release=self._device == VIRTUAL)
         self._was_warned = False
         self._joy = advertise("joy", Joy, inbox)
-        self._text, self._ticks = text or LiveText(), 0
+        self._text = text or LiveText()
         self._shown = self._seen = ""  # who steers, and why: as it was printed, and as it was at the last look
         self._steering = listen("turn_arb/state", SteeringState, inbox, STATE_TIMEOUT_S)
         self._throttle = listen("throttle_arb/state", ThrottleState, inbox, STATE_TIMEOUT_S)
@@ -157,8 +157,7 @@ class KeyboardDrive:
         if self._timer.is_due(now_ns):
             self._read_keys(now_ns)
             self._publish(self._keyboard.controls(now_ns))
-            self._ticks += 1
-            if self._ticks % TICKS_PER_SCREEN == 0:
+            if self._timer.ticks % TICKS_PER_SCREEN == 0:
                 self._show(now_ns)
         return self._timer.due_ns
 

@@ -57,7 +57,6 @@ class TeleopLogi:
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
         self._log_filter = RequestsLogFilter()
         self._losses = Counter()  # by cause
         self._topic = inbox.resolve_name("joy")
@@ -109,8 +108,7 @@ class TeleopLogi:
     def _tick(self, now_ns):
         requests = self._handover.requests(now_ns)
         has_changed = self._publish(requests, now_ns)
-        self._ticks += 1
-        repeats = self._ticks % TICKS_PER_STATE == 0
+        repeats = self._timer.ticks % TICKS_PER_STATE == 0
         self._publish_scale_button(now_ns, repeats)
         if repeats:
             self._modes.publish(requests.mode)

@@ -139,7 +139,7 @@ class TurnArb(CommandNode):
 
     def _tick(self, now_ns):
         super()._tick(now_ns)
-        if self._ticks % TICKS_PER_STATE == 0:
+        if self._timer.ticks % TICKS_PER_STATE == 0:
             self._log_too_tight(now_ns)
 
     def _log(self, before, decision):

@@ -116,7 +116,6 @@ class Phones:
                  make_secret: Callable[[], str] = lambda: secrets.token_urlsafe(16)):
         self._pin, self._admits_guests, self._make_secret = pin, admits_guests, make_secret
         self._timer = RateTimer(TOKEN_HZ, now_ns)
-        self._ticks = 0
         self._pages: dict[int, _Page] = {}
         self._keys: OrderedDict[str, None] = OrderedDict()  # of admitted pages, the oldest first
         self._guesses: dict[str, Bucket] = {}  # by address
@@ -174,14 +173,13 @@ class Phones:
         self._look_for_loss(now_ns)
         if not self._timer.is_due(now_ns):
             return
-        self._ticks += 1
         for page in list(self._pages.values()):
             if page.is_admitted:
                 page.tokens.append((self._make_secret(), now_ns))
                 self._send(page, token=page.tokens[-1][0])
             elif now_ns - page.opened_ns >= WAIT_NS:
                 self._close(page, "no PIN came")
-        if self._ticks % TICKS_PER_STATUS == 0:
+        if self._timer.ticks % TICKS_PER_STATUS == 0:
             self._send_status()
             self._send_car()
 

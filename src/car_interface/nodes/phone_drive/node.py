@@ -69,7 +69,6 @@ class PhoneDrive:
         self._calls = 0  # that were begun and not answered
         self._called_ns = now_ns
         self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
         self._published = None  # controls and e-stop
         self._joy = advertise(PHONE_TOPIC, Joy, inbox)
         self._e_stop = advertise("phone/e_stop", Bool, inbox, latch=True)
@@ -107,18 +106,17 @@ class PhoneDrive:
         self._recordings.close()
 
     def _tick(self, now_ns):
-        self._ticks += 1
         self._publish_joy(self._published[0])
-        if self._ticks % TICKS_PER_E_STOP == 0:
+        if self._timer.ticks % TICKS_PER_E_STOP == 0:
             self._e_stop.publish(self._published[1])
-        if self._ticks % TICKS_PER_STATE == 0:
+        if self._timer.ticks % TICKS_PER_STATE == 0:
             self._store_e_stop()
             self._recordings.step()
             calibration = self._calibration.step(now_ns)
             if self._phones.pages:
                 self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
                             "calibration": calibration})
-        if self._ticks % TICKS_PER_LISTING == 1:
+        if self._timer.ticks % TICKS_PER_LISTING == 1:
             self._show({"recordings": self._recordings.files()})
 
     def _show(self, groups):

@@ -72,7 +72,6 @@ class PlannerInterface:
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
         self._decision, self._command = PlannerDecision("", "before the first decision"), None
         self._published = None  # what throttle_arb goes by, of the newest state
         self._radius_m = None  # the newest that was published
@@ -197,10 +196,9 @@ class PlannerInterface:
             self._publish_state(now_ns)
 
     def _tick(self, now_ns):
-        self._ticks += 1
         self._decide(now_ns)
         self._control_speed(now_ns)
-        if self._published != self._kind or self._ticks % TICKS_PER_STATE == 0:
+        if self._published != self._kind or self._timer.ticks % TICKS_PER_STATE == 0:
             self._publish_state(now_ns)  # the gear before what it is for
         if self._decision.request is not None:
             self._publish_radius(self._decision.radius_m)
