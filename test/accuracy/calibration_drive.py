@@ -37,7 +37,7 @@ from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_dut
 from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.planner.request import PlannerRequest
+from car_interface.planner.messages import PlannerRequest
 from car_interface.sim.vehicle import Pose, TyreConfig, Vehicle, VehicleConfig
 from car_interface.sim.world import Box, World, WorldConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig

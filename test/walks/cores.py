@@ -20,7 +20,7 @@ from adversary.esc_model import BACKWARD, FORWARD, KINDS, EscModel, EscSpec
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.pca9685.channels import ChannelConfig, Channels
-from car_interface.planner.request import PlannerRequest, Refusal
+from car_interface.planner.messages import PlannerRequest, Refusal
 from car_interface.planner.source_arbiter import SourceArbiter
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration

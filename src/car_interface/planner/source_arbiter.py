@@ -15,7 +15,7 @@ from car_interface.common import causes
 from car_interface.common.sources import SPEED
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.planner.request import PlannerRequest, Refusal
+from car_interface.planner.messages import PlannerRequest, Refusal
 
 # Long enough for a slow swing: with ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
 SANE_FOR_NS = 2 * NS_PER_S

@@ -20,7 +20,7 @@ from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.sources import PLANNER
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.planner.request import PlannerRequest
+from car_interface.planner.messages import PlannerRequest
 from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
 from car_interface.throttle.esc_motion import STANDSTILL_MPS

@@ -9,8 +9,18 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.planner.messages import ANGLE, RATE, from_ackermann, from_control, from_twist
-from car_interface.planner.request import PlannerRequest, Refusal, clamped_radius, radius_of_angle, sane_radius_m
+from car_interface.planner.messages import (
+    ANGLE,
+    RATE,
+    PlannerRequest,
+    Refusal,
+    clamped_radius,
+    from_ackermann,
+    from_control,
+    from_twist,
+    radius_of_angle,
+    sane_radius_m,
+)
 
 HALF, RIGHT_ANGLE = 0.4636476090008061, math.pi / 2
 INF, NAN = math.inf, math.nan

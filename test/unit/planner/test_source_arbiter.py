@@ -5,8 +5,7 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.common.sources import SPEED
-from car_interface.planner.messages import RATE, from_ackermann, from_twist
-from car_interface.planner.request import PlannerRequest, Refusal, sane_radius_m
+from car_interface.planner.messages import RATE, PlannerRequest, Refusal, from_ackermann, from_twist, sane_radius_m
 from car_interface.planner.source_arbiter import SourceArbiter
 
 MS, S = 1_000_000, 1_000_000_000

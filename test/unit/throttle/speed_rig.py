@@ -15,7 +15,7 @@ from virtual_escs import xl5
 
 from car_interface.common.sources import TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.planner.request import PlannerRequest
+from car_interface.planner.messages import PlannerRequest
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveTrainConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder

@@ -35,8 +35,15 @@ from car_interface.common.units import NS_PER_S
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from car_interface.nodes.planner_interface.config import PlannerInterfaceConfig
-from car_interface.planner.messages import from_ackermann, from_control, from_twist
-from car_interface.planner.request import REVERSE, PlannerRequest, not_finite, sane_radius_m
+from car_interface.planner.messages import (
+    REVERSE,
+    PlannerRequest,
+    from_ackermann,
+    from_control,
+    from_twist,
+    not_finite,
+    sane_radius_m,
+)
 from car_interface.planner.source_arbiter import PlannerDecision, SourceArbiter
 from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
