@@ -15,7 +15,7 @@ import hmac
 import secrets
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.rate_timer import RateTimer
@@ -147,11 +147,12 @@ class Phones:
         self._look_for_loss(now_ns)
         return Controls() if self.e_stop or self._must_release else self._touch
 
-    def show(self, group: str, state: Any) -> None:
-        """Have all pages show a group of the car's state, as JSON has it."""
-        if group not in self._car or self._car[group] != state:
-            self._car[group] = state
-            self._changed.add(group)
+    def show(self, groups: Mapping[str, Any]) -> None:
+        """Have all pages show groups of the car's state, as JSON has them."""
+        for group, state in groups.items():
+            if group not in self._car or self._car[group] != state:
+                self._car[group] = state
+                self._changed.add(group)
 
     def take_commands(self) -> list[Command]:
         """Remove and return what the node is to do, in order."""
@@ -169,10 +170,11 @@ class Phones:
         outgoing, self._outgoing = self._outgoing, []
         return outgoing
 
-    def step(self, now_ns: int) -> None:
+    def step(self, now_ns: int) -> int:
+        """Look for a loss, and send what is due; return the number of this tick, from 1 on, or 0: none was due."""
         self._look_for_loss(now_ns)
         if not self._timer.is_due(now_ns):
-            return
+            return 0
         for page in list(self._pages.values()):
             if page.is_admitted:
                 page.tokens.append((self._make_secret(), now_ns))
@@ -182,6 +184,7 @@ class Phones:
         if self._timer.ticks % TICKS_PER_STATUS == 0:
             self._send_status()
             self._send_car()
+        return self._timer.ticks
 
     # --- connections ---
 

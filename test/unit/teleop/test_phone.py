@@ -295,7 +295,7 @@ def test_tokens_are_sent_20_times_a_second_and_the_state_5_times(bench):
     page, sent = bench.join(1), []
     page.receive = lambda message, closes: sent.extend(message)
     for number in range(1000):
-        bench.phones.show("speed", number)
+        bench.phones.show({"speed": number})
         bench.wait(1)
     assert [sent.count(name) for name in ("token", "status", "car")] == [20, 5, 5]
     assert sent[:5] == ["token", "status", "car", "token", "token"]  # after three ticks while it joined
@@ -706,12 +706,10 @@ def test_commands_that_the_node_has_not_taken_are_limited(bench):
 
 def test_state_of_the_car_is_sent_as_it_changes_and_whole_to_a_new_page(bench):
     first = bench.join(1)
-    bench.phones.show("speed", 1.0)
-    bench.phones.show("who", {"text": "nobody"})
+    bench.phones.show({"speed": 1.0, "who": {"text": "nobody"}})
     bench.wait(200)
     assert first.car == [{}, {"speed": 1.0, "who": {"text": "nobody"}}]
-    bench.phones.show("speed", 2.0)
-    bench.phones.show("who", {"text": "nobody"})
+    bench.phones.show({"speed": 2.0, "who": {"text": "nobody"}})
     bench.wait(400)
     assert first.car[2:] == [{"speed": 2.0}]
     assert bench.join(2).car[0] == {"speed": 2.0, "who": {"text": "nobody"}}

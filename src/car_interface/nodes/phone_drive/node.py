@@ -27,7 +27,6 @@ from std_srvs.srv import Trigger, TriggerRequest
 from car_interface.common.black_box_folder import default_folder
 from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.phone_drive.car_state import CarState
 from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig, announce, own_addresses
@@ -41,8 +40,7 @@ from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import Phones
 from car_interface.teleop.phone_messages import BEGIN, FINISH, GIVE_UP
 
-RATE_HZ = 20
-TICKS_PER_E_STOP = 2
+TICKS_PER_E_STOP = 2  # of the rules', 20 a second
 TICKS_PER_STATE = 4
 TICKS_PER_LISTING = 40  # of the recordings' folder
 CALL_NS = 10 * NS_PER_S  # a change or a save that isn't answered by then isn't waited for
@@ -68,7 +66,6 @@ class PhoneDrive:
         self._stored_e_stop: bool | None = config.e_stop  # None: it is just being stored
         self._calls = 0  # that were begun and not answered
         self._called_ns = now_ns
-        self._timer = RateTimer(RATE_HZ, now_ns)
         self._published = None  # controls and e-stop
         self._joy = advertise(PHONE_TOPIC, Joy, inbox)
         self._e_stop = advertise("phone/e_stop", Bool, inbox, latch=True)
@@ -87,16 +84,16 @@ class PhoneDrive:
             handler(item, arrival_ns)
             # By now, and not by the arrival: a touch that got too old while this node stood still must not count.
             self._publish_if_changed(now_ns)
-        self._phones.step(now_ns)
+        tick = self._phones.step(now_ns)
         self._publish_if_changed(now_ns)
-        if self._timer.is_due(now_ns):
-            self._tick(now_ns)
+        if tick:
+            self._tick(tick, now_ns)
         for command in self._phones.take_commands():
             self._execute(command, now_ns)
         for outgoing in self._phones.drain():
             self._server.send(outgoing)
         self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._phones.due_ns)
+        return self._phones.due_ns
 
     def shut_down(self):
         """Release the deadman; close what was begun."""
@@ -105,23 +102,19 @@ class PhoneDrive:
         self._calibration.close()
         self._recordings.close()
 
-    def _tick(self, now_ns):
+    def _tick(self, tick, now_ns):
         self._publish_joy(self._published[0])
-        if self._timer.ticks % TICKS_PER_E_STOP == 0:
+        if tick % TICKS_PER_E_STOP == 0:
             self._e_stop.publish(self._published[1])
-        if self._timer.ticks % TICKS_PER_STATE == 0:
+        if tick % TICKS_PER_STATE == 0:
             self._store_e_stop()
             self._recordings.step()
             calibration = self._calibration.step(now_ns)
             if self._phones.pages:
-                self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
-                            "calibration": calibration})
-        if self._timer.ticks % TICKS_PER_LISTING == 1:
-            self._show({"recordings": self._recordings.files()})
-
-    def _show(self, groups):
-        for group, state in groups.items():
-            self._phones.show(group, state)
+                self._phones.show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
+                                   "calibration": calibration})
+        if tick % TICKS_PER_LISTING == 1:
+            self._phones.show({"recordings": self._recordings.files()})
 
     # --- what counts ---
 
