@@ -43,11 +43,10 @@ class Params:
         self._fixed = fixed
         self._known: set = set()
 
-    def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None,
-               search_parents=False) -> float:
+    def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None) -> float:
         """Return a finite number from ``low`` to ``high``, or greater than ``above``."""
         accepted = "a number" + _range_text(low, high, above)
-        return self._scalar(name, default, search_parents, lambda value: _number(value, low, high, above), accepted)
+        return self._scalar(name, default, False, lambda value: _number(value, low, high, above), accepted)
 
     def integer(self, name: str, default=REQUIRED, low=-2 ** 31, high=2 ** 31 - 1, search_parents=False) -> int:
         """Return an integer from ``low`` to ``high``, or the default, which may be ``None``."""

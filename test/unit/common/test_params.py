@@ -170,11 +170,10 @@ def test_ignored_namespace_is_neither_a_value_nor_a_part_of_a_name(private):
 
 
 def test_name_that_the_namespace_lacks_is_looked_up_outwards_where_that_was_asked_for_and_checked_like_any_other():
-    around = {"servo_left": 3800, "m_turnrad_axis_servo": [1, 2], "input_timeout": 9.0, "k": 1.5, "servo_channel": 20}
+    around = {"servo_left": 3800, "m_turnrad_axis_servo": [1, 2], "input_timeout": 9.0, "servo_channel": 20}
     params = Params({}, around.get)
     assert params.integer("servo_left", search_parents=True) == 3800
     assert params.numbers("m_turnrad_axis_servo", search_parents=True) == [1.0, 2.0]
-    assert params.number("k", search_parents=True) == 1.5
     assert params.timeout("input_timeout", 0.5) == 0.5
     with pytest.raises(ConfigError, match=r"^servo_channel is 20; accepted: an integer from 0 to 15$"):
         params.integer("servo_channel", search_parents=True, **CHANNEL)
