@@ -42,10 +42,10 @@ def within(place: str) -> Iterator[None]:
         raise ConfigError(f"{place}, {error.name}", error.value, error.accepted, error.found) from error
 
 
-def require(fine: bool, name: str, value: object, accepted: str) -> None:
+def require(fine: bool, name: str, value: object, accepted: str, found: str | None = None) -> None:
     """Raise a ConfigError of these unless ``fine``."""
     if not fine:
-        raise ConfigError(name, value, accepted)
+        raise ConfigError(name, value, accepted, found)
 
 
 class ProtocolError(CarInterfaceError, ValueError):

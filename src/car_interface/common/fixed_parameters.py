@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,7 @@ def _parse(arguments, names):
     for argument in rest:
         if argument in names:
             value = next(rest, None)
-            if value is None:
-                raise ConfigError(f"argument {argument}", None, "a value after it", "has no value")
+            require(value is not None, f"argument {argument}", None, "a value after it", "has no value")
             found[names[argument]] = value
         elif REMAPPING not in argument:
             raise ConfigError(f"argument {argument}", None, ", ".join(f"{option} VALUE" for option in names),

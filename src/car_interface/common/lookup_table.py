@@ -8,7 +8,7 @@ import math
 from bisect import bisect_right
 from typing import Sequence
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 
 
 class LookupTable:
@@ -25,11 +25,10 @@ class LookupTable:
 
     def __init__(self, axis: Sequence[float], values: Sequence[float], axis_name="axis", values_name="values"):
         check_axis(axis, axis_name)
-        if len(values) != len(axis):
-            raise ConfigError(values_name, list(values), f"{len(axis)} numbers, one for each element of {axis_name}")
+        require(len(values) == len(axis), values_name, list(values),
+                f"{len(axis)} numbers, one for each element of {axis_name}")
         for index, value in enumerate(values):
-            if not math.isfinite(value):
-                raise ConfigError(f"{values_name}[{index}]", value, "a finite number")
+            require(math.isfinite(value), f"{values_name}[{index}]", value, "a finite number")
         self.axis = tuple(float(x) for x in axis)
         self.values = tuple(float(y) for y in values)
 
@@ -47,15 +46,12 @@ class LookupTable:
 
 def check_axis(axis: Sequence[float], name: str) -> None:
     """Raise ConfigError unless ``axis`` has at least two finite, strictly increasing elements."""
-    if len(axis) < 2:
-        raise ConfigError(name, list(axis), "at least two increasing numbers")
+    require(len(axis) >= 2, name, list(axis), "at least two increasing numbers")
     for index, x in enumerate(axis):
-        if not math.isfinite(x):
-            raise ConfigError(f"{name}[{index}]", x, "a finite number")
-        if index and not x > axis[index - 1]:
-            raise ConfigError(f"{name}[{index}]", x, f"more than the element before it, {axis[index - 1]!r}")
-    if not math.isfinite(axis[-1] - axis[0]):
-        raise ConfigError(name, list(axis), "a span that is a finite number")
+        require(math.isfinite(x), f"{name}[{index}]", x, "a finite number")
+        require(not index or x > axis[index - 1], f"{name}[{index}]", x,
+                f"more than the element before it, {axis[index - 1]!r}")
+    require(math.isfinite(axis[-1] - axis[0]), name, list(axis), "a span that is a finite number")
 
 
 def round_half_away(x: float) -> int:

@@ -14,7 +14,7 @@ import os
 from types import MappingProxyType
 from typing import Any, Callable, Mapping, Sequence
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.input_file import finite_number, integer
 
 REQUIRED = object()
@@ -60,8 +60,7 @@ class Params:
         value = self._get(name, default, search_parents, accepted)
         if value is None:
             return None
-        if not isinstance(value, (list, tuple)):
-            raise ConfigError(name, value, accepted)
+        require(isinstance(value, (list, tuple)), name, value, accepted)
         return [self._checked(f"{name}[{index}]", x, lambda x: _number(x, low, high), element)
                 for index, x in enumerate(value)]
 
@@ -72,8 +71,7 @@ class Params:
         if not isinstance(value, (list, tuple)):
             value = self._checked(name, value, lambda v: _integer(v, low, high), f"{accepted}, or {length} of them")
             return (value,) * length
-        if len(value) != length:
-            raise ConfigError(name, value, f"{length} integers, or one for all of them")
+        require(len(value) == length, name, value, f"{length} integers, or one for all of them")
         return tuple(self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
                      for index, element in enumerate(value))
 
@@ -145,12 +143,10 @@ class Params:
         self._known.add(name)
         value, fixed = self._values.get(name), self._fixed[name]
         if fixed is None:
-            if value is not None:
-                raise ConfigError(name, value, f"none, {BY_LAUNCH_FILE}; its argument {name} sets it")
+            require(value is None, name, value, f"none, {BY_LAUNCH_FILE}; its argument {name} sets it")
             return default
         result = None if value is None else self._checked(name, value, read, accepted)
-        if result is None or result != read_fixed(fixed):
-            raise ConfigError(name, value, f"{fixed}, {BY_LAUNCH_FILE}")
+        require(result is not None and result == read_fixed(fixed), name, value, f"{fixed}, {BY_LAUNCH_FILE}")
         return result
 
     def _get(self, name, default, search_parents, accepted=""):
@@ -160,15 +156,13 @@ class Params:
             value = self._search_parents(name)
         if value is None:
             value = default
-        if value is REQUIRED:
-            raise ConfigError(name, None, accepted)
+        require(value is not REQUIRED, name, None, accepted)
         return value
 
     @staticmethod
     def _checked(name, value, read, accepted):
         result = read(value)
-        if result is None:
-            raise ConfigError(name, value, accepted)
+        require(result is not None, name, value, accepted)
         return result
 
 

@@ -11,7 +11,7 @@ import re
 from typing import Mapping, Sequence, Union
 
 from car_interface.common.atomic_file import is_write_protected, replace
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.input_file import read_file
 from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, decode_yaml, load_yaml, scalar_number
 
@@ -54,12 +54,10 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     """
     root = compose_yaml(text, path)
     nodes = {name: _find(root, name.split("/")) for name in values}
-    if not any(nodes.values()):
-        raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
+    require(any(nodes.values()), path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
     added = {name: value for name, value in values.items() if nodes[name] is None}
     for name in added:
-        if "/" in name:
-            raise ConfigError(path, None, f"a file with {name}", "lacks it")
+        require("/" not in name, path, None, f"a file with {name}", "lacks it")
     edits_of = {name: _edits(nodes[name], value) for name, value in values.items() if name not in added}
     changed = [name for name, found in edits_of.items() if found]
     edits = [edit for found in edits_of.values() for edit in found]
@@ -76,8 +74,7 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
         is_right = _content(compose_yaml(result, path)) == _merged(_content(root), wanted)
     except ConfigError:
         is_right = False
-    if not is_right:
-        raise ConfigError(path, None, "plain values, each written out in its place", "can't be edited safely")
+    require(is_right, path, None, "plain values, each written out in its place", "can't be edited safely")
     return result
 
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any, Sequence
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
 
@@ -51,11 +52,10 @@ class SteeringCalibration:
     _right: LookupTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        if not min(self.servo_left, self.servo_right) <= self.servo_center <= max(self.servo_left, self.servo_right):
-            raise ConfigError("servo_center", self.servo_center,
-                              f"a duty between servo_left {self.servo_left} and servo_right {self.servo_right}")
-        if self.servo_left == self.servo_right:
-            raise ConfigError("servo_right", self.servo_right, "a duty other than servo_left's")
+        require(min(self.servo_left, self.servo_right) <= self.servo_center <= max(self.servo_left, self.servo_right),
+                "servo_center", self.servo_center,
+                f"a duty between servo_left {self.servo_left} and servo_right {self.servo_right}")
+        require(self.servo_left != self.servo_right, "servo_right", self.servo_right, "a duty other than servo_left's")
         if self.radius_axis_m and self.radius_axis_m[0] <= 0:
             raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
         for name, duties, parameter in (("_left", self.left_duties, "k_pwmcmd_left_table_servo"),
@@ -107,12 +107,9 @@ class SteeringCalibration:
 
 def _tightest_m(table):
     """Return the widest radius that has the same duty as the tightest one, as sent."""
-    duty, widest_m = round_half_away(table.values[0]), table.axis[0]
-    for radius_m, value in zip(table.axis, table.values):
-        if round_half_away(value) != duty:
-            break
-        widest_m = radius_m
-    return widest_m
+    duty = round_half_away(table.values[0])
+    return max(radius_m for radius_m, _ in takewhile(lambda pair: round_half_away(pair[1]) == duty,
+                                                     zip(table.axis, table.values)))
 
 
 def lost_per_m(curvature_per_m: Any, speed_mps: Any, understeer: float) -> Any:
@@ -154,16 +151,16 @@ def trimmed(calibration: SteeringCalibration, servo_left: int, servo_center: int
     """
     before = (calibration.servo_left, calibration.servo_center, calibration.servo_right)
     after = (servo_left, servo_center, servo_right)
-    if before != after and calibration.servo_center in (calibration.servo_left, calibration.servo_right):
-        raise ConfigError("servo_center", calibration.servo_center, "a duty between servo_left and servo_right, in the "
-                          "file already: from one of them on nothing can be tuned", "is an end at start")
-    if (servo_left < servo_right) != (calibration.servo_left < calibration.servo_right):
-        raise ConfigError("servo_left", servo_left, f"a duty on the same side of servo_right {servo_right} as before")
     if before == after:
         return calibration
-    if servo_center in (servo_left, servo_right):  # with a travel of 0 the ratios are lost: it couldn't be tuned back
-        raise ConfigError("servo_center", servo_center,
-                          f"a duty between servo_left {servo_left} and servo_right {servo_right}, and neither of them")
+    require(calibration.servo_center not in (calibration.servo_left, calibration.servo_right),
+            "servo_center", calibration.servo_center, "a duty between servo_left and servo_right, in the file already: "
+            "from one of them on nothing can be tuned", "is an end at start")
+    require((servo_left < servo_right) == (calibration.servo_left < calibration.servo_right),
+            "servo_left", servo_left, f"a duty on the same side of servo_right {servo_right} as before")
+    # With a travel of 0 the ratios are lost: it couldn't be tuned back.
+    require(servo_center not in (servo_left, servo_right), "servo_center", servo_center,
+            f"a duty between servo_left {servo_left} and servo_right {servo_right}, and neither of them")
 
     def scaled(duty):
         end = 0 if (duty - before[1]) * (before[0] - before[1]) > 0 else 2

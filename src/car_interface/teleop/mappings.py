@@ -78,8 +78,7 @@ def config_for(model: str, config: GamepadConfig, entries: Entries) -> GamepadCo
     """
     if not model:
         return config
-    if model not in entries:
-        raise ConfigError(FILE, None, "an entry of that name", f"has no entry for this gamepad, {model!r}")
+    require(model in entries, FILE, None, "an entry of that name", f"has no entry for this gamepad, {model!r}")
     entry = entries[model]
     with within(f"{FILE}, {model}"):
         require(isinstance(entry, dict), "the entry", entry, "names of parameters and their values, or {}")
@@ -105,6 +104,5 @@ def with_entry(text: str, path: str, model: str, entry: Mapping[str, float]) -> 
         is_right = load_yaml(path, result) == {**before, model: dict(entry)}
     except ConfigError:
         is_right = False
-    if not is_right:
-        raise ConfigError(path, None, f"a file whose entry {name} is on one line", "can't be edited safely")
+    require(is_right, path, None, f"a file whose entry {name} is on one line", "can't be edited safely")
     return result
