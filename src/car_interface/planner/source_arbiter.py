@@ -8,7 +8,6 @@ through angles that look like radians, at full lock. Pure: ``now_ns`` is passed 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from typing import NamedTuple
 
 from car_interface.common import causes
@@ -47,8 +46,7 @@ class SourceArbiter:
         self._sane_radius_m = sane_radius_m
         self._refused_for: Refusal | None = None  # the newest angle for which the source stays refused
         self._sane_since_ns: int | None = None  # since when it has been sane; None: it isn't
-        self._others: Counter = Counter()
-        self._senders: dict[str, str] = {}
+        self._others: dict[str, tuple[int, str]] = {}  # messages of the others, and who sent the last, by source
         self.refused = 0
 
     def update(self, command: PlannerRequest | Refusal, now_ns: int) -> None:
@@ -83,8 +81,8 @@ class SourceArbiter:
 
     def count_other(self, source: str, sender: str) -> None:
         """Count a message of a source that isn't obeyed, from a node."""
-        self._others[source] += 1
-        self._senders[source] = sender
+        count, _ = self._others.get(source, (0, ""))
+        self._others[source] = count + 1, sender
 
     def mark_stale(self) -> None:
         """Take note that messages were dropped: there is no request until the next one."""
@@ -98,8 +96,7 @@ class SourceArbiter:
     def others(self) -> str:
         """The sources that aren't obeyed, as text: ``cmd_vel: 12 messages, the last from /move_base``."""
         return "; ".join(f"{source}: {count} message{'s' if count > 1 else ''}, the last from "
-                         f"{self._senders[source] or 'an unknown node'}"
-                         for source, count in sorted(self._others.items()))
+                         f"{sender or 'an unknown node'}" for source, (count, sender) in sorted(self._others.items()))
 
     def silent_at_ns(self, now_ns: int) -> float:
         """Return when the source falls silent unless it sends something; inf = it is silent, or was never received."""

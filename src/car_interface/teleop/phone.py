@@ -52,13 +52,6 @@ class Outgoing(NamedTuple):
     closes: bool = False
 
 
-class Command(NamedTuple):
-    """What a page wants the node to do; ``Phones.answer`` says what became of it."""
-
-    connection: int
-    message: dict[str, Any]
-
-
 class Bucket:
     """Limits a rate: each event takes one of ``capacity``, which come back at ``rate_hz``."""
 
@@ -120,7 +113,7 @@ class Phones:
         self._keys: OrderedDict[str, None] = OrderedDict()  # of admitted pages, the oldest first
         self._guesses: dict[str, Bucket] = {}  # by address
         self._outgoing: list[Outgoing] = []
-        self._commands: list[Command] = []
+        self._commands: list[tuple[int, dict[str, Any]]] = []
         self._car: dict[str, Any] = {}  # its state, by group
         self._changed: set[str] = set()  # groups that were not sent since
         self._driver: int | None = None  # his connection; None: none, or it is lost
@@ -154,8 +147,8 @@ class Phones:
                 self._car[group] = state
                 self._changed.add(group)
 
-    def take_commands(self) -> list[Command]:
-        """Remove and return what the node is to do, in order."""
+    def take_commands(self) -> list[tuple[int, dict[str, Any]]]:
+        """Remove and return what pages want the node to do, in order: each one's connection and message."""
         commands, self._commands = self._commands, []
         return commands
 
@@ -392,7 +385,7 @@ class Phones:
         if len(self._commands) >= MAX_COMMANDS:
             self._refuse(page, "too many commands at once")
         else:
-            self._commands.append(Command(page.connection, message))
+            self._commands.append((page.connection, message))
 
     # --- messages out ---
 

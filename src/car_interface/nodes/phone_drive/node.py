@@ -88,8 +88,8 @@ class PhoneDrive:
         self._publish_if_changed(now_ns)
         if tick:
             self._tick(tick, now_ns)
-        for command in self._phones.take_commands():
-            self._execute(command, now_ns)
+        for connection, message in self._phones.take_commands():
+            self._execute(connection, message, now_ns)
         for outgoing in self._phones.drain():
             self._server.send(outgoing)
         self._diagnostics.step(now_ns)
@@ -152,8 +152,7 @@ class PhoneDrive:
 
     # --- what the driver asks for ---
 
-    def _execute(self, command, now_ns):
-        connection, message = command
+    def _execute(self, connection, message, now_ns):
         try:
             answer = getattr(self, f"_do_{message['type']}")(connection, message, now_ns)
         except CarInterfaceError as error:
