@@ -149,7 +149,7 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
         while reports and reports[0][0] <= now_ns:
             _, speed_mps = reports.popleft()
             if not lost[0] < now_ns < lost[1]:
-                steer.update_odometry(speed_mps, now_ns, delay_ns)
+                steer.limiter.speed.update(speed_mps, now_ns, delay_ns)
                 throttle.update_odometry(speed_mps, now_ns, delay_ns)
         if now_ns % (40 * MS) == 0:
             human = now_ns > 1500 * MS  # let go first: the ESC is armed meanwhile

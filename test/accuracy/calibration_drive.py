@@ -298,9 +298,9 @@ class Bench:
             motion, self._odom_ns = self._odom.motion, now_ns + TICK_NS
             self.drive.update_odometry(motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps,
                                        self._odom.stamp.time_ns, now_ns)
-            for one in (self._steering, self._throttle, self._speed):
-                one.update_odometry(motion.speed_mps, now_ns, 0)
-            self._converter.update_odometry(motion.speed_mps, now_ns)
+            for update in (self._steering.limiter.speed.update, self._throttle.update_odometry,
+                           self._speed.update_odometry, self._converter.update_odometry):
+                update(motion.speed_mps, now_ns, 0)
             self._odom = None
         if self._sonars is not None:
             for name, range_m in self._sonars.step(self.vehicle.pose, now_ns - START_NS):

@@ -326,7 +326,7 @@ class Walk:
 
     def _odometry(self):
         self._send("odometry", "throttle_arb", self._on_odometry, self.car.wheel_mps, self.now_ns)
-        self._send("odometry>turn", "turn_arb", self.turn.update_odometry, self.car.wheel_mps)
+        self._send("odometry>turn", "turn_arb", self.turn.limiter.speed.update, self.car.wheel_mps)
 
     def _on_odometry(self, speed_mps, stamp_ns, now_ns):
         self.throttle.update_odometry(speed_mps, now_ns, now_ns - stamp_ns)
@@ -496,10 +496,8 @@ class Walk:
         self._start(node)
         if node in ("turn_arb", "throttle_arb", "teleop") and "teleop" not in self._dead:
             # teleop_logi's state, which is latched
-            self._push(self.now_ns, self._arrive, "turn_arb", self._lives.get("turn_arb"), self._on_turn,
-                       ("explain_teleop", False))
-            self._push(self.now_ns, self._arrive, "throttle_arb", self._lives.get("throttle_arb"),
-                       self.throttle.arbiter.explain_human, (True, ""))
+            for arb, arbiter in (("turn_arb", self.turn), ("throttle_arb", self.throttle.arbiter)):
+                self._push(self.now_ns, self._arrive, arb, self._lives.get(arb), arbiter.explain_human, (True, ""))
         if node in ("turn_arb", "throttle_arb"):
             self._heard -= {f"{name}>{node[:-4]}" for name in STOPS}
         for name, link in itertools.product(STOPS, ("turn", "throttle")):

@@ -76,7 +76,7 @@ class TurnArb(CommandNode):
         """Nothing to do: the servo board's timeout centers the steering."""
 
     def _on_publishers(self):
-        self._arbiter.explain_planner("; ".join(fault.text for fault in self._command_topics.unheard))
+        self._arbiter.planner_explanation = "; ".join(fault.text for fault in self._command_topics.unheard)
         self._diagnostics.report_now()
 
     def _on_master(self, fault, now_ns):
@@ -108,14 +108,15 @@ class TurnArb(CommandNode):
         self._has_yaw_rate = self._has_yaw_rate or abs(yaw_rate_radps) > 0
         if self._has_yaw_rate:
             self._check.update_motion(speed_mps, yaw_rate_radps, now_ns)
-        self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
+        age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
+        self._arbiter.limiter.speed.update(speed_mps, now_ns, age_ns)
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
                                 f"the velocity in the odometry is {speed_mps}: the limits go by the last speed")
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
-        self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
+        self._arbiter.overrides = message.steering_stick == causes.OVERRIDE
 
     def _offer_tuning(self, config):
         """Have ends and center tuned while the car drives, relative to the calibration at start."""

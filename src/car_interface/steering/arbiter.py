@@ -17,7 +17,7 @@ from car_interface.common.lookup_table import round_half_away
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
+from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SteeringLimiter, SteeringLimits, too_tight_reason
 
@@ -83,18 +83,24 @@ class SteeringArbiter(MotionInterlock):
     think that they are steering. So does one that was never received while teleop_logi runs. A planner asks by radius
     or by steering: while both are fresh neither is obeyed.
 
+    From the first ``explain_human`` on the planner steers only once the gamepad's steering was received, too.
+
     Attributes:
-        limiter: with the measured speed.
+        limiter: its speed takes odometry's, forward positive.
+        overrides: the gamepad overrides the planner, by teleop_logi; it is quoted in a reason as long as what that
+            explained is fresh.
+        planner_explanation: why no planner is heard; only quoted in the reason while none ever was. Empty = nobody
+            knows.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
         super().__init__(config.interlock)
         self._calibration, self._steering_config = calibration, config
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
-        self._override = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
+        self.overrides = False
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
-        self._planner_explanation = ""
+        self.planner_explanation = ""
         self.limiter = SteeringLimiter(config.limits)
         self._sources = {TELEOP: config.limits.human, PLANNER: config.limits.planner}
         # Duty (None: nobody steered) and time of the newest decision, if no limit held for it.
@@ -105,17 +111,6 @@ class SteeringArbiter(MotionInterlock):
     def calibrate(self, calibration: SteeringCalibration) -> None:
         """Use another calibration from now on."""
         self._calibration = calibration
-
-    def explain_teleop(self, overrides: bool, now_ns: int) -> None:
-        """Take whether the gamepad overrides the planner, by teleop_logi; it is quoted in a decision's reason.
-
-        From the first call on the planner steers only once the gamepad's steering was received, too.
-        """
-        self._override.update(overrides, now_ns)
-
-    def explain_planner(self, explanation: str) -> None:
-        """Take why no planner is heard; it is only quoted in the reason while none ever was. Empty = nobody knows."""
-        self._planner_explanation = explanation
 
     def update_teleop(self, steering: float, now_ns: int) -> None:
         """Take the gamepad's steering, −1 right to +1 left."""
@@ -128,10 +123,6 @@ class SteeringArbiter(MotionInterlock):
     def update_planner_steering(self, steering: float, now_ns: int) -> None:
         """Take the steering of a planner that sends no radius, −1 right to +1 left."""
         self._planner_steering.update(steering, now_ns)
-
-    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """Take the car's speed, forward positive, and how old it was at its arrival."""
-        self.limiter.speed.update(speed_mps, now_ns, age_ns)
 
     def turn_radius_m(self, duty: float) -> float:
         """Return the radius on which a duty turns at the newest speed, right negative; inf = straight ahead."""
@@ -207,10 +198,10 @@ class SteeringArbiter(MotionInterlock):
                         f"tele_steer_req is {steering}, no number to act on")
             deadband = self._steering_config.tele_steer_deadband * FLOAT32_TOLERANCE
             if abs(steering - self._steering_config.tele_steer_neutral) > deadband:
-                overrides = not self._override.is_stale(now_ns) and self._override.value
+                overrides = not self._explanation.is_stale(now_ns) and self.overrides
                 return (TELEOP, self._calibration.teleop_duty(steering), causes.TELEOP,
                         f"tele_steer_req is {steering:.3f}{': it overrides the planner' if overrides else ''}")
-        elif self._override.was_received:  # the mode may be one in which the human steers
+        elif self._explanation.was_received:  # the mode may be one in which the human steers
             return NEUTRAL, center, causes.TELEOP_STALE, "tele_steer_req was never heard, though teleop_logi runs"
         return self._arbitrate_planner(now_ns)
 
@@ -221,7 +212,7 @@ class SteeringArbiter(MotionInterlock):
         fresh = [timed for timed in received if not timed.is_stale(now_ns)]
         if not received:
             return (NEUTRAL, center, causes.NO_REQUEST,
-                    self._planner_explanation or "neither tele_steer_req nor av_turnrad_req asks for anything")
+                    self.planner_explanation or "neither tele_steer_req nor av_turnrad_req asks for anything")
         if not fresh:
             newest = min(received, key=lambda timed: timed.age_s(now_ns))
             return NEUTRAL, center, causes.PLANNER_STALE, newest.stale_reason(now_ns)

@@ -26,7 +26,7 @@ def arbiter_with(human=None, teleop=None, planner=None, steering=None, odometry=
     if human_timeout_s is not None:
         rules["interlock"] = InterlockConfig(human_timeout_s=human_timeout_s)
     arbiter = SteeringArbiter(calibration, SteeringArbiterConfig(**rules))
-    for update, received in ((arbiter.update_odometry, odometry), (arbiter.update_human, human),
+    for update, received in ((arbiter.limiter.speed.update, odometry), (arbiter.update_human, human),
                              (arbiter.update_teleop, teleop), (arbiter.update_planner, planner),
                              (arbiter.update_planner_steering, steering)):
         if received is not None:
@@ -77,7 +77,7 @@ def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, p
 def test_a_stick_that_was_never_heard_while_teleop_logi_runs_is_no_stick_at_rest():
     arbiter = arbiter_with(HELD, planner=(5.0, 0.0))
     assert arbiter.decide(NOW).source == PLANNER  # a teleop without a stick
-    arbiter.explain_teleop(False, NOW)
+    arbiter.explain_human(True, "", NOW)
     assert arbiter.decide(NOW)[:4] == (NEUTRAL, SLASH.servo_center, causes.TELEOP_STALE,
                                        "tele_steer_req was never heard, though teleop_logi runs")
     arbiter.update_teleop(0.0, NOW)
@@ -207,13 +207,14 @@ def test_reason_says_whether_the_gamepad_overrides_the_planner_while_that_is_fre
     arbiter = arbiter_with(HELD, STEERS, ASKS)
     for overrides, at_ns, words in ((True, NOW, ": it overrides the planner"), (False, NOW, ""),
                                     (True, NOW - S // 2 - 1, "")):
-        arbiter.explain_teleop(overrides, at_ns)
+        arbiter.explain_human(True, "", at_ns)
+        arbiter.overrides = overrides
         assert arbiter.decide(NOW).reason == f"tele_steer_req is 0.500{words}"
 
 
 def test_reason_for_no_planner_is_quoted_until_one_was_received():
     arbiter = arbiter_with(HELD)
-    arbiter.explain_planner("planner_interface: drive was never heard")
+    arbiter.planner_explanation = "planner_interface: drive was never heard"
     assert arbiter.decide(NOW)[2:4] == (causes.NO_REQUEST, "planner_interface: drive was never heard")
     arbiter.update_planner(0.0, NOW)
     assert arbiter.decide(NOW).reason == "av_turnrad_req is 0, which asks for nothing"
@@ -242,7 +243,7 @@ def test_dropped_messages_make_every_input_stale():
     inputs = {"human_in_loop": (NO_HUMAN, rearm),
               "tele_steer_req": (NEUTRAL, lambda: arbiter.update_teleop(0.0, NOW)),
               "av_turnrad_req": (NEUTRAL, lambda: arbiter.update_planner(1.0, NOW))}
-    arbiter.update_odometry(3.0, NOW)
+    arbiter.limiter.speed.update(3.0, NOW)
     arbiter.update_planner_steering(0.5, NOW)
     for _, receive in inputs.values():
         receive()
