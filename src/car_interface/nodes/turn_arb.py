@@ -59,7 +59,7 @@ class TurnArb(CommandNode):
         self._decide_now = self._arbiter.decide
         self._check = SteeringCheck()
         self._has_yaw_rate = False  # odometry of a speed alone has 0, as of a car that always goes straight on
-        self._too_tight = ""  # as was logged; empty: no request was too tight lately
+        self._too_tight = None  # as was logged; None: no request was too tight lately
         self._master_fault = ""
         super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
                          {"steering": self._report, "steering by the wheels": self._report_check}, find_unheard_planner)
@@ -155,7 +155,7 @@ class TurnArb(CommandNode):
 
     def _log_too_tight(self, now_ns):
         """Log requests that the wheels can't do once, however often the planner's swings are too tight in between."""
-        before, self._too_tight = self._too_tight, self._arbiter.limiter.too_tight_lately(now_ns)
+        before, self._too_tight = self._too_tight, self._arbiter.limiter.too_tight.fresh(now_ns)
         if self._too_tight and not before:
             self._warnings.warn(causes.TOO_TIGHT, f"the planner {self._too_tight}")
 
@@ -163,7 +163,7 @@ class TurnArb(CommandNode):
         """Report source, cause and ages on /diagnostics."""
         decision = self._arbiter.decide(self._clocks.now_ns())  # for its ages
         alarming = _is_alarming(decision)
-        too_tight = self._arbiter.limiter.too_tight_lately(self._clocks.now_ns())
+        too_tight = self._arbiter.limiter.too_tight.fresh(self._clocks.now_ns())
         status.summary(WARN if alarming or too_tight else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}"
                        + (f"; the planner {too_tight}" if too_tight else ""))
         status.add("cause", decision.cause)

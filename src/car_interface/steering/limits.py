@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from car_interface.common import causes, declared
 from car_interface.common.measured_speed import MeasuredSpeed
+from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 
 # A request for a radius below this part of the tightest one is reported. A planner may use its own measurement of the
@@ -92,14 +93,18 @@ class Turn(NamedTuple):
 
 
 class SteeringLimiter:
-    """Limit one car's turns."""
+    """Limit one car's turns.
+
+    Attributes:
+        cuts: how often a request began to be limited.
+        too_tight: why a request was more than the wheels can do, fresh until TOO_TIGHT_FOR_NS after it.
+    """
 
     def __init__(self, limits: SteeringLimits):
-        self.limits = limits
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
-        self.cuts = 0  # how often a request began to be limited
+        self.cuts = 0
         self._is_cut = False
-        self._too_tight, self._too_tight_ns = "", 0  # the newest reason, and when it held
+        self.too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
         self._granted_per_m = 0.0
         self._granted_ns: int | None = None
         self._credit_mps2 = 0.0  # by which the lateral acceleration may rise at once
@@ -116,17 +121,13 @@ class SteeringLimiter:
         """
         was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)
         if too_tight:
-            self._too_tight, self._too_tight_ns = too_tight, now_ns
+            self.too_tight.update(too_tight, now_ns)
             reason = f"{too_tight}; {turn.reason}" if turn.is_cut else too_tight
             turn = turn._replace(cause=causes.TOO_TIGHT, reason=reason)
         if turn.is_cut and not was_cut:
             self.cuts += 1
         self._is_cut = turn.is_cut
         return turn
-
-    def too_tight_lately(self, now_ns: int) -> str:
-        """Return why a request was more than the wheels can do, until TOO_TIGHT_FOR_NS after it; empty: none was."""
-        return self._too_tight if now_ns - self._too_tight_ns <= TOO_TIGHT_FOR_NS else ""
 
     def _by_speed(self, curvature_per_m, limits, now_ns):
         """Return the turn by the limits for the measured speed."""

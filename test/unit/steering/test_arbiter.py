@@ -301,7 +301,7 @@ def test_a_request_tighter_than_the_car_is_cut_and_reported(speed_mps, limits):
     assert decision[:3] == (PLANNER, 3800, causes.PLANNER)
     assert (decision.limit, decision.limit_reason, decision.asked_radius_m) == (causes.TOO_TIGHT, WRONG, 0.17)
     assert arbiter.turn_radius_m(decision.duty) == 1.0
-    assert (arbiter.limiter.cuts, arbiter.limiter.too_tight_lately(NOW + 2 * S)) == (1, WRONG)
+    assert (arbiter.limiter.cuts, arbiter.limiter.too_tight.fresh(NOW + 2 * S)) == (1, WRONG)
 
 
 @pytest.mark.parametrize("radius_m, calibration, limit, max_speed_mps", [

@@ -159,7 +159,7 @@ def test_the_tightest_turn_is_granted_and_its_reason_kept_and_counted_once_when_
 
 def test_it_stays_known_for_2_s_so_that_swings_from_side_to_side_are_one():
     limiter = limiter_at(1.0)
-    assert limiter.too_tight_lately(0) == ""
+    assert limiter.too_tight.fresh(0) is None
     limiter.limit(1.0, LATERAL, S, "asks for too much")
     limiter.limit(0.1, LATERAL, S + MS)
-    assert (limiter.too_tight_lately(3 * S), limiter.too_tight_lately(3 * S + 1)) == ("asks for too much", "")
+    assert (limiter.too_tight.fresh(3 * S), limiter.too_tight.fresh(3 * S + 1)) == ("asks for too much", None)
