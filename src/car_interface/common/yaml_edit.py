@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+from contextlib import suppress
 from typing import Mapping, Sequence, Union
 
 from car_interface.common.atomic_file import is_write_protected, replace
@@ -69,13 +70,11 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     if added and not result.endswith("\n"):
         result += "\n"
     result += "".join(f"{name}: {_format(value)}\n" for name, value in added.items())
-    try:
-        wanted = {name: _plain(values[name]) for name in (*changed, *added)}
-        is_right = _content(compose_yaml(result, path)) == _merged(_content(root), wanted)
-    except ConfigError:
-        is_right = False
-    require(is_right, path, None, "plain values, each written out in its place", "can't be edited safely")
-    return result
+    wanted = {name: _plain(values[name]) for name in (*changed, *added)}
+    with suppress(ConfigError):
+        if _content(compose_yaml(result, path)) == _merged(_content(root), wanted):
+            return result
+    raise ConfigError(path, None, "plain values, each written out in its place", "can't be edited safely")
 
 
 def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the file") -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from typing import Any, Mapping
 
 from car_interface.common.declared import read_all
@@ -100,9 +101,7 @@ def with_entry(text: str, path: str, model: str, entry: Mapping[str, float]) -> 
     lines = [line for line in (text or HEAD).splitlines() if not line.startswith(f"{name}:")]
     values = ", ".join(f"{key}: {value}" for key, value in entry.items())
     result = "\n".join([*lines, f"{name}: {{{values}}}"]) + "\n"
-    try:
-        is_right = load_yaml(path, result) == {**before, model: dict(entry)}
-    except ConfigError:
-        is_right = False
-    require(is_right, path, None, f"a file whose entry {name} is on one line", "can't be edited safely")
-    return result
+    with suppress(ConfigError):
+        if load_yaml(path, result) == {**before, model: dict(entry)}:
+            return result
+    raise ConfigError(path, None, f"a file whose entry {name} is on one line", "can't be edited safely")
