@@ -185,7 +185,7 @@ class ThrottleArb(CommandNode):
                         lambda values: trimmed(calibration, **values))
 
         def apply(values):
-            self._control.calibrate(trimmed(calibration, **values))
+            self._control.calibration = trimmed(calibration, **values)
             self._neutral = one_channel_duty(self._channel, values["neutral"])
             self._neutrals.publish(self._neutral)
 

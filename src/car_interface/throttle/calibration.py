@@ -5,7 +5,7 @@ lowest. The table of an ESC that drives forward on shorter pulses falls.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Sequence
 
 from car_interface.common import declared
@@ -17,7 +17,7 @@ from car_interface.common.units import MAX_DUTY
 
 @dataclass(frozen=True)
 class ThrottleCalibration:
-    """The ESC's channel and table, which is linear between its values and saturates beyond.
+    """Convert values, requests and duties by the ESC's table, which is linear between its values and saturates beyond.
 
     The duties only rise or only fall from value to value; neighbours may be equal.
 
@@ -31,36 +31,16 @@ class ThrottleCalibration:
     duty_table: Sequence[float] = declared.duties(
         "servo/duty_table", REQUIRED, "the duty for each value, only rising or only falling")
     neutral: int = declared.duty("servo/neutral", REQUIRED, "neither drives nor brakes; within the table")
+    _duty_of_value: LookupTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")  # checks the axis
+        table = LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")
+        object.__setattr__(self, "_duty_of_value", table)
         steps = [high - low for low, high in zip(self.duty_table, self.duty_table[1:])]
         if not any(steps) or min(steps) < 0 < max(steps):
             raise ConfigError("servo/duty_table", list(self.duty_table), "duties that only rise, or only fall")
         if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
-
-
-def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibration:
-    """Return a calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    shift = neutral - calibration.neutral
-    return replace(calibration, neutral=neutral,
-                   duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty
-                               for duty in calibration.duty_table])
-
-
-class DutyMap:
-    """Convert values, requests and duties by one calibration."""
-
-    def __init__(self, calibration: ThrottleCalibration):
-        self.calibration = calibration
-        self._duty_of_value = LookupTable(calibration.value_axis, calibration.duty_table)
-        self._forward = calibration.duty_table[-1] - calibration.neutral  # duty from neutral to each end
-        self._behind = calibration.duty_table[0] - calibration.neutral
 
     def request_of_value(self, value: float) -> float:
         """Return the request for one of the converter's values; NaN for NaN."""
@@ -75,10 +55,23 @@ class DutyMap:
 
     def duty(self, request: float) -> int:
         """Return the duty for a request, which is clamped to −1..1."""
-        span = self._forward if request >= 0 else self._behind
-        return max(0, min(MAX_DUTY, round_half_away(self.calibration.neutral + min(1.0, abs(request)) * span)))
+        span = self.duty_table[-1 if request >= 0 else 0] - self.neutral
+        return max(0, min(MAX_DUTY, round_half_away(self.neutral + min(1.0, abs(request)) * span)))
 
     def _request(self, duty):
-        beyond = duty - self.calibration.neutral
-        forward, behind = self._forward or -self._behind, self._behind or -self._forward
+        beyond = duty - self.neutral
+        forward, behind = self.duty_table[-1] - self.neutral, self.duty_table[0] - self.neutral
+        forward, behind = forward or -behind, behind or -forward
         return (beyond / forward if beyond * forward > 0 else -beyond / behind) + 0.0  # no negative zero
+
+
+def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibration:
+    """Return a calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    shift = neutral - calibration.neutral
+    return replace(calibration, neutral=neutral,
+                   duty_table=[max(0, min(MAX_DUTY, duty + shift)) if shift else duty
+                               for duty in calibration.duty_table])

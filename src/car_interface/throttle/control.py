@@ -8,7 +8,7 @@
 3. ``limits``: reduces the request to those bounds and to the configured limits; a stop passes unchanged.
 4. ``esc``: turns the request into a fraction −1..1; no brake becomes reverse. A stop brakes where that is certain
    (``Esc._stop``); else it is neutral, and the car coasts.
-5. ``calibration.DutyMap``: turns the fraction into the duty, which throttle_arb publishes for the ESC's channel.
+5. ``calibration``: turns the fraction into the duty, which throttle_arb publishes for the ESC's channel.
 
 ``ThrottleDecision`` carries the result of each step with its cause and reason. Pure: ``now_ns`` is passed in.
 """
@@ -18,7 +18,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.arbiter import PLANNER, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
-from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
+from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import AUTO, Request
@@ -56,26 +56,24 @@ class ThrottleControl:
 
     Attributes:
         arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state directly.
+        calibration: the ESC's; another one counts from the next call on.
         limiter: counts how often it began to cut a request.
     """
 
     def __init__(self, calibration: ThrottleCalibration, arbiter: ThrottleArbiterConfig, esc: EscConfig,
                  limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
-        self._duties = DutyMap(calibration)
+        self.calibration = calibration
         self.esc_config, self._esc = esc, Esc(esc)
-        self.limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
+        self.limiter = ThrottleLimiter(limits or ThrottleLimits(),
+                                       lambda value: self.calibration.request_of_value(value))
         self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
         self._turn_max_mps = self._curvature_per_m = 0.0
         self._output = TimedInput("/servo/output", 0.0)
 
-    def calibrate(self, calibration: ThrottleCalibration) -> None:
-        """Use another calibration from now on."""
-        self._duties = DutyMap(calibration)
-
     def update_planner(self, value: float, now_ns: int) -> None:
         """Take the converter's value for the planner's command."""
-        self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
+        self.arbiter.update_planner(value, self.calibration.request_of_value(value), now_ns)
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int, sigma_mps: float = 0.0) -> None:
         """Take the measured speed, forward positive, its age at arrival by its stamp (0 = unknown), and its
@@ -102,13 +100,10 @@ class ThrottleControl:
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the servo board holds, −1 = never set."""
-        duty = duties[self._duties.calibration.channel]
+        duty = duties[self.calibration.channel]
         self._output.update(duty, now_ns)
         self.arbiter.update_output(duties, now_ns)
-        self._esc.update_held(self._duties.request_of_duty(duty), now_ns)
-
-    def _request_of_value(self, value):
-        return self._duties.request_of_value(value)
+        self._esc.update_held(self.calibration.request_of_duty(duty), now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
@@ -130,7 +125,7 @@ class ThrottleControl:
         esc = self._step(limited, now_ns)
         if self._guard is not None:
             self._guard.update_esc(esc, now_ns)
-        return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
+        return ThrottleDecision(self.calibration.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
                                 self.arbiter.scale.value, limited)
 
     def _step(self, limited, now_ns):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, trimmed
+from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
@@ -19,9 +19,8 @@ BACKWARD_ONLY = replace(SHIPPED, value_axis=[-5.0, 0.0], duty_table=[3277, 4915]
 @pytest.mark.parametrize("value, duty", [
     (-5.0, 3277), (0.0, 4915), (1.5, 5735), (3.0, 6554), (-9.0, 3277), (9.0, 6554)])  # half throttle is 5734.5
 def test_value_makes_the_duty_of_the_table(value, duty):
-    duties = DutyMap(SHIPPED)
-    assert duties.duty(duties.request_of_value(value)) == duty
-    assert math.isnan(duties.request_of_value(math.nan))
+    assert SHIPPED.duty(SHIPPED.request_of_value(value)) == duty
+    assert math.isnan(SHIPPED.request_of_value(math.nan))
 
 
 @pytest.mark.parametrize("calibration, request_, duty", [
@@ -34,15 +33,14 @@ def test_value_makes_the_duty_of_the_table(value, duty):
     (replace(SHIPPED, duty_table=[0, 100, 200], neutral=0), 0.0, 0),
 ])
 def test_request_makes_a_duty(calibration, request_, duty):
-    assert DutyMap(calibration).duty(request_) == duty
+    assert calibration.duty(request_) == duty
 
 
 @pytest.mark.once
 @pytest.mark.parametrize("calibration", [SHIPPED, FALLING, FORWARD_ONLY])
 @given(request_=st.floats(-1, 1))
 def test_duty_stands_for_the_request_that_made_it(calibration, request_):
-    duties = DutyMap(calibration)
-    back = duties.request_of_duty(duties.duty(request_))
+    back = calibration.request_of_duty(calibration.duty(request_))
     expected = max(0.0, request_) if calibration is FORWARD_ONLY else request_
     assert back == pytest.approx(expected, abs=0.6 / 1638)
 
@@ -53,13 +51,13 @@ def test_duty_stands_for_the_request_that_made_it(calibration, request_):
                                                          (replace(SHIPPED, neutral=6553), 6554, 1.0)])
 def test_duty_beyond_the_table_stands_for_more_than_1(calibration, duty, request_):
     """Another program, or the board's own timeout value, may have put it there."""
-    assert DutyMap(calibration).request_of_duty(duty) == pytest.approx(request_, abs=0.001)
+    assert calibration.request_of_duty(duty) == pytest.approx(request_, abs=0.001)
 
 
 @pytest.mark.parametrize("duty", [-1, 0, 65535])
 def test_what_is_no_pulse_stands_for_no_request_and_neutral_is_no_negative_zero(duty):
-    assert DutyMap(SHIPPED).request_of_duty(duty) is None
-    assert math.copysign(1, DutyMap(SHIPPED).request_of_duty(4915)) == 1
+    assert SHIPPED.request_of_duty(duty) is None
+    assert math.copysign(1, SHIPPED.request_of_duty(4915)) == 1
 
 
 @pytest.mark.parametrize("changes, message", [

@@ -149,7 +149,7 @@ def test_board_that_reports_no_pulse_has_the_esc_armed_again():
 
 def test_calibration_that_is_tuned_holds_from_then_on():
     rig = Rig()
-    rig.control.calibrate(trimmed(THROTTLE, NEUTRAL_DUTY + 50))
+    rig.control.calibration = trimmed(THROTTLE, NEUTRAL_DUTY + 50)
     assert rig.run(0.02).duty == NEUTRAL_DUTY + 50
     assert rig.pull((1.0, 0.1)).duty == BY_HAND + 50
 
