@@ -46,7 +46,7 @@ from car_interface.steering.config import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
-from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.converter import Converter, ConverterConfig
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
@@ -218,7 +218,7 @@ class Bench:
         self._throttle = ThrottleControl(
             THROTTLE, ThrottleArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
-        self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
+        self._converter = Converter(ConverterConfig(value_map=load_value_map(str(MAP))))
         self.person = person or Person(rng)
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._hub = Hub(car.vehicle, rng, noise)
@@ -299,7 +299,7 @@ class Bench:
             self.drive.update_odometry(motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps,
                                        self._odom.stamp.time_ns, now_ns)
             for update in (self._steering.limiter.speed.update, self._throttle.update_odometry,
-                           self._speed.update_odometry, self._converter.update_odometry):
+                           self._speed.speed.update, self._converter.odometry.update):
                 update(motion.speed_mps, now_ns, 0)
             self._odom = None
         if self._sonars is not None:

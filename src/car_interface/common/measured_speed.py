@@ -28,10 +28,11 @@ class MeasuredSpeed(TimedInput):
 
     Args:
         timeout_s: a speed older than this is lost; 0 = never.
+        name: odometry's in a reason.
     """
 
-    def __init__(self, timeout_s: float):
-        super().__init__("odom", timeout_s)
+    def __init__(self, timeout_s: float, name: str = "odom"):
+        super().__init__(name, timeout_s)
         self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
         self._gain_mps2 = 0.0  # by which its magnitude rises
         self._period_s, self._periods = MAX_PERIOD_S, 0  # of the reports: the mean of about eight, and how many

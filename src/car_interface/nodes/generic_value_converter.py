@@ -37,7 +37,7 @@ class GenericValueConverter:
 
     def __init__(self, params, inbox):
         config = read_all(params, ConverterConfig)
-        self._converter = Converter(config.conversion, config.value_map)
+        self._converter = Converter(config)
         _warn_of_clamped_values(config)
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
@@ -53,7 +53,7 @@ class GenericValueConverter:
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
-        inbox.on_overflow(lambda now_ns: self._converter.mark_stale())
+        inbox.on_overflow(lambda now_ns: self._converter.odometry.mark_stale())
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(inbox.resolve_name(name) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)  # only a command asks for it
@@ -74,7 +74,7 @@ class GenericValueConverter:
     def _on_odometry(self, message, now_ns):
         velocity = message.twist.twist.linear.x
         age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
-        self._converter.update_odometry(velocity, now_ns, age_ns)
+        self._converter.odometry.update(velocity, now_ns, age_ns)
         if not math.isfinite(velocity):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 
@@ -123,10 +123,10 @@ class GenericValueConverter:
 
 def _warn_of_clamped_values(config):
     """Warn of a map with values beyond the limits of the output."""
-    limits, value_map = config.conversion, config.value_map
-    if value_map is not None and (value_map.values[0] < limits.min_value or value_map.values[-1] > limits.max_value):
+    value_map = config.value_map
+    if value_map is not None and (value_map.values[0] < config.min_value or value_map.values[-1] > config.max_value):
         rospy.logwarn("%s has values from %g to %g; min_value and max_value clamp them to %g to %g", config.map_path,
-                      value_map.values[0], value_map.values[-1], limits.min_value, limits.max_value)
+                      value_map.values[0], value_map.values[-1], config.min_value, config.max_value)
 
 
 def main():

@@ -18,34 +18,34 @@ PASSES = "false = accelerations pass through, clamped; no map and no odometry ne
 
 
 @dataclass(frozen=True)
-class ConversionConfig:
-    """Configure the limits of the output and the timeout of odometry.
+class ConverterConfig:
+    """Configure generic_value_converter; without ``value_map`` accelerations pass through, clamped.
 
     Raises:
-        ConfigError: naming the parameter.
+        ConfigError: naming the parameter. All values of the map are outside the limits, so that every output would be
+            the same.
     """
 
     min_value: float = declared.number("min_value", -5.0, "the value is clamped to these")
     max_value: float = declared.number("max_value", 3.0, "the value is clamped to these")
     odometry_timeout_s: float = declared.timeout(
         "odometry_timeout", 0.5, "a velocity older than this gives no output")
-
-    def __post_init__(self):
-        if self.min_value > self.max_value:
-            raise ConfigError("min_value", self.min_value, f"at most max_value {self.max_value}")
-
-
-@dataclass(frozen=True)
-class ConverterConfig:
-    """Configure generic_value_converter; without ``value_map`` accelerations pass through, clamped."""
-
-    conversion: ConversionConfig = declared.group(ConversionConfig())
     converts: bool = declared.flag("convert_value_cmd", True, PASSES)
     uses_map: bool = declared.flag("use_value_ff", True, PASSES)
     map_path: str | None = declared.path(
         "csv_path_value_map", None, "the value map", default_text="`value_map.csv`")
     allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
     value_map: ValueMap | None = None
+
+    def __post_init__(self):
+        if self.min_value > self.max_value:
+            raise ConfigError("min_value", self.min_value, f"at most max_value {self.max_value}")
+        value_map = self.value_map
+        if value_map is not None and not (value_map.values[0] < self.max_value
+                                          and value_map.values[-1] > self.min_value):
+            raise ConfigError("value map", list(value_map.values), f"values within min_value {self.min_value} to "
+                              f"max_value {self.max_value}, or others for these",
+                              f"has values from {value_map.values[0]} to {value_map.values[-1]}")
 
     def completed(self, params) -> ConverterConfig:
         """Return the same with the map, if it is used.
@@ -58,8 +58,7 @@ class ConverterConfig:
         path = self.map_path or params.path("csv_path_value_map")
         value_map = load_value_map(path, self.allow_plateaus)
         with within(path):
-            Converter(self.conversion, value_map)  # checks the map against the limits
-        return replace(self, value_map=value_map)
+            return replace(self, value_map=value_map)
 
 
 class Conversion(NamedTuple):
@@ -71,35 +70,15 @@ class Conversion(NamedTuple):
 
 
 class Converter:
-    """Convert commanded accelerations to values.
-
-    Args:
-        value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
+    """Convert commanded accelerations to values; without a map that needs no odometry.
 
     Attributes:
         odometry: the newest velocity in m/s, forward positive.
-
-    Raises:
-        ConfigError: all values of the map are outside the limits, so that every output would be the same.
     """
 
-    def __init__(self, config: ConversionConfig, value_map: ValueMap | None):
-        if value_map is not None and not (value_map.values[0] < config.max_value
-                                          and value_map.values[-1] > config.min_value):
-            raise ConfigError("value map", list(value_map.values), f"values within min_value {config.min_value} to "
-                              f"max_value {config.max_value}, or others for these",
-                              f"has values from {value_map.values[0]} to {value_map.values[-1]}")
-        self._config = config
-        self._map = value_map
+    def __init__(self, config: ConverterConfig):
+        self._config, self._map = config, config.value_map
         self.odometry = TimedInput("odometry", config.odometry_timeout_s)
-
-    def update_odometry(self, velocity: float, now_ns: int, age_ns: int = 0) -> None:
-        """Take the car's velocity in m/s, forward positive, and its age at arrival."""
-        self.odometry.update(velocity, now_ns, age_ns)
-
-    def mark_stale(self) -> None:
-        """Treat the velocity as stale, since messages were dropped on their way here."""
-        self.odometry.mark_stale()
 
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
         """Return the value for a commanded acceleration in m/s² at the newest velocity."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common import causes, declared
-from car_interface.common.measured_speed import MAX_SPEED_MPS
+from car_interface.common.measured_speed import MAX_SPEED_MPS, MeasuredSpeed
 from car_interface.common.sources import PLANNER
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -144,11 +144,15 @@ class SpeedReference:
 
 
 class SpeedControl:
-    """Control one car's speed."""
+    """Control one car's speed.
+
+    Attributes:
+        speed: takes odometry's.
+    """
 
     def __init__(self, config: SpeedControlConfig = SpeedControlConfig()):
         self._config = config
-        self.speed = TimedInput("odometry", config.odometry_timeout_s)
+        self.speed = MeasuredSpeed(config.odometry_timeout_s, "odometry")
         self._throttle = TimedInput("throttle_arb's state", THROTTLE_TIMEOUT_S)
         self._reference = SpeedReference()
         self._integral_mps2 = 0.0
@@ -160,13 +164,6 @@ class SpeedControl:
         self._driven_mps = 0.0  # the reference, delayed by the motor's lag
         self._past: deque = deque()  # from the reference that odometry shows now up to the newest
 
-    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """Take the speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS or NaN it is unknown."""
-        if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
-            self.speed.update(speed_mps, now_ns, age_ns)
-        else:
-            self.speed.mark_stale(f"it was {speed_mps}")
-
     def update_throttle(self, source: int, asked: float, granted: float, esc_cause: str, now_ns: int) -> None:
         """Take throttle_arb's state: who drives, the request, what the ESC gets, and the cause of the ESC's state."""
         cut = abs(asked) - abs(granted) > CUT and (granted or esc_cause != causes.NO_THROTTLE)
@@ -177,11 +174,6 @@ class SpeedControl:
         """Treat all inputs as stale, since messages were dropped on their way here."""
         self.speed.mark_stale()
         self._throttle.mark_stale()
-
-    @property
-    def measured_mps(self) -> float:
-        """Return the newest speed; NaN = none."""
-        return math.nan if self.speed.value is None else self.speed.value
 
     def step(self, request: PlannerRequest, now_ns: int) -> SpeedCommand:
         """Return the command from ``now_ns`` on. Call it at 20 Hz at least."""

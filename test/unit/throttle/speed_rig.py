@@ -25,7 +25,7 @@ from car_interface.teensy.sensing.measurements import Measurements
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import Trouble
 from car_interface.throttle.control import ThrottleControl
-from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.converter import Converter, ConverterConfig
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.speed_control import STOP, SpeedControl
 from car_interface.throttle.value_map import ValueMap, load_value_map
@@ -72,7 +72,7 @@ class SpeedRig:
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
         self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc), START_NS)
         self.control = SpeedControl()
-        self.converter = Converter(ConversionConfig(), value_map)
+        self.converter = Converter(ConverterConfig(value_map=value_map))
         self.throttle = ThrottleControl(
             THROTTLE, ThrottleArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
             EscConfig(profile=profile, profile_measured=is_measured))
@@ -122,8 +122,9 @@ class SpeedRig:
             if not self._sees_pulses:
                 odom_mps, age_ns = self.car.speed_mps, MS
             if not self.is_deaf:
-                for part in (self.control, self.converter, self.throttle):
-                    part.update_odometry(odom_mps, now_ns, age_ns)
+                for update in (self.control.speed.update, self.converter.odometry.update,
+                               self.throttle.update_odometry):
+                    update(odom_mps, now_ns, age_ns)
 
     def _tick(self, now_ns):
         command = self.control.step(self.request, now_ns)

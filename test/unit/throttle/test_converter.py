@@ -7,7 +7,7 @@ import pytest
 from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.converter import ConversionConfig, Converter, ConverterConfig
+from car_interface.throttle.converter import Converter, ConverterConfig
 from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
@@ -18,9 +18,9 @@ MAP = ValueMap([-10.0, 10.0], [0.0, 10.0], [[-20.0, -21.0], [20.0, 19.0]])
 
 def convert(acceleration, velocity=0.0, age_s=0.1, value_map=MAP, **config):
     """The conversion at NOW with odometry of an age; velocity None = never heard."""
-    converter = Converter(ConversionConfig(**config), value_map)
+    converter = Converter(ConverterConfig(**config, value_map=value_map))
     if velocity is not None:
-        converter.update_odometry(velocity, NOW - round(age_s * S))
+        converter.odometry.update(velocity, NOW - round(age_s * S))
     return converter.convert(acceleration, NOW)
 
 
@@ -43,7 +43,7 @@ def test_limits_are_those_of_the_config(value_map):
     assert convert(-100.0, value_map=value_map, min_value=-1.0, max_value=0.5).value == -1.0
     assert convert(1.0, value_map=value_map, min_value=2.0, max_value=2.0).value == 2.0
     with pytest.raises(ConfigError, match=r"min_value is 4\.0; accepted: at most max_value 3\.0"):
-        ConversionConfig(min_value=4.0)
+        ConverterConfig(min_value=4.0)
 
 
 @pytest.mark.parametrize("values", [(3665.0, 6165.0), (-6.0, -5.0), (3.0, 4.0)])
@@ -51,7 +51,7 @@ def test_map_all_of_whose_values_are_beyond_the_limits_is_refused(values):
     """A map of duties: each of its values would be clamped to the same one, full throttle for braking too."""
     with pytest.raises(ConfigError, match=fr"value map has values from {values[0]} to {values[1]}; accepted: values "
                                           r"within min_value -5\.0 to max_value 3\.0"):
-        Converter(ConversionConfig(), ValueMap(values, [0.0, 10.0], [[-1.0, -1.0], [1.0, 1.0]]))
+        ConverterConfig(value_map=ValueMap(values, [0.0, 10.0], [[-1.0, -1.0], [1.0, 1.0]]))
     reaching = ValueMap([-9.0, -6.0, 2.0], [0.0, 10.0], [[-2.0, -2.0], [-1.0, -1.0], [1.0, 1.0]])
     assert convert(1.0, value_map=reaching).value == 2.0
 
@@ -77,12 +77,12 @@ def test_without_finite_and_fresh_odometry_there_is_no_value(odometry, trouble):
 
 
 def test_newest_odometry_counts_unless_messages_were_dropped():
-    converter = Converter(ConversionConfig(), MAP)
-    converter.update_odometry(math.nan, NOW)
-    converter.update_odometry(10.0, NOW)
+    converter = Converter(ConverterConfig(value_map=MAP))
+    converter.odometry.update(math.nan, NOW)
+    converter.odometry.update(10.0, NOW)
     assert converter.convert(2.0, NOW).value == pytest.approx(1.5)
     assert converter.odometry.age_s(NOW + S) == 1.0
-    converter.mark_stale()
+    converter.odometry.mark_stale()
     assert converter.convert(2.0, NOW).reason == "odometry was not heard since messages were dropped"
 
 

@@ -160,7 +160,7 @@ class Bench:
         command = None
         for _ in range(round(seconds * 50)):
             self.now_ns += TICK_NS
-            self.control.update_odometry(self.speed_mps, self.now_ns)
+            self.control.speed.update(self.speed_mps, self.now_ns)
             if self.throttle is not None:
                 self.control.update_throttle(*self.throttle, self.now_ns)
             command = self.control.step(request, self.now_ns)
@@ -170,7 +170,7 @@ class Bench:
 def test_before_odometry_was_received_and_after_dropped_messages_nothing_is_known():
     command = SpeedControl().step(SpeedRequest(1.0), 0)
     assert not command.is_known and command.note == "odometry was never heard"
-    assert math.isnan(SpeedControl().measured_mps)
+    assert math.isnan(SpeedControl().speed.last_mps)
     bench = Bench()
     bench.run(SpeedRequest(1.0))
     bench.control.mark_stale()
@@ -182,7 +182,7 @@ def test_before_odometry_was_received_and_after_dropped_messages_nothing_is_know
 def test_speed_that_no_car_has_is_unknown_and_the_next_one_begins_from_itself(speed, is_known):
     bench = Bench()
     bench.run(SpeedRequest(1.0))
-    bench.control.update_odometry(speed, bench.now_ns)
+    bench.control.speed.update(speed, bench.now_ns)
     assert bench.control.step(SpeedRequest(1.0), bench.now_ns).is_known == is_known
     bench.speed_mps = 2.0
     command = bench.run(SpeedRequest(3.0))
@@ -221,7 +221,7 @@ def test_car_that_rolls_too_fast_for_a_second_is_told_until_it_does_not():
     control = SpeedControl()
     for index in range(300):
         now_ns = index * TICK_NS
-        control.update_odometry(1.0 if 50 <= index < 200 else 0.3, now_ns)
+        control.speed.update(1.0 if 50 <= index < 200 else 0.3, now_ns)
         notes.append(control.step(SpeedRequest(0.3), now_ns).note)
     told = [index for index, note in enumerate(notes) if note]
     assert told == list(range(100, 200)) and notes[100] == (
@@ -330,7 +330,7 @@ def test_delayed_step_makes_no_jump():
 def test_gear_neutral_coasts_at_the_measured_speed_and_begins_anew_afterwards():
     control = SpeedControl()
     for tick in range(3):
-        control.update_odometry(1.5, tick * TICK_NS)
+        control.speed.update(1.5, tick * TICK_NS)
         command = control.step(SpeedRequest(2.0, gear=COAST_GEAR), tick * TICK_NS)
         assert command[:4] == (0.0, 1.5, COAST_GEAR, True)
     assert control.step(SpeedRequest(2.0), 3 * TICK_NS).reference_mps == pytest.approx(1.5, abs=0.1)

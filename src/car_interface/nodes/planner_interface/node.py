@@ -167,7 +167,7 @@ class PlannerInterface:
 
     def _on_odometry(self, message, now_ns):
         age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
-        self._control.update_odometry(message.twist.twist.linear.x, now_ns, age_ns)
+        self._control.speed.update(message.twist.twist.linear.x, now_ns, age_ns)
 
     def _on_throttle(self, message, now_ns):
         self._control.update_throttle(message.source, message.asked, message.granted, message.esc_cause, now_ns)
@@ -252,7 +252,7 @@ class PlannerInterface:
         self._states.publish(PlannerState(
             stamp=self._clocks.ros_now(), source=self._sources.source, cause=cause, reason=self._reason(), gear=gear,
             turn_radius=decision.radius_m, speed=request.speed_mps if request else 0.0,
-            reference_speed=command.reference_mps if request else 0.0, measured_speed=self._control.measured_mps,
+            reference_speed=command.reference_mps if request else 0.0, measured_speed=self._control.speed.last_mps,
             acceleration=command.acceleration_mps2 if request else 0.0, source_age=self._sources.age_s(now_ns),
             odometry_age=self._control.speed.age_s(now_ns), refused=self._sources.refused,
             others=self._sources.others))

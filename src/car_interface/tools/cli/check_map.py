@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Iterator, Sequence
 
@@ -17,7 +18,7 @@ from car_interface.common.lookup_table import LookupTable
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.config import load_steering
-from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.converter import ConverterConfig
 from car_interface.throttle.value_map import Grid, ValueMap, load_value_map, read_grid
 from car_interface.tools.cli.options import finite
 
@@ -26,7 +27,7 @@ PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 MAP_SUFFIX = ".csv"
 BAR = 24  # characters to each side
 MAX_COLUMNS, MAX_ROWS = 11, 21
-LIMITS = ConversionConfig()  # the defaults of generic_value_converter
+LIMITS = ConverterConfig()  # the defaults of generic_value_converter
 LEVEL_MPS2 = 0.005  # a smaller rise may vanish in a CSV with two decimals
 PLAIN = "\033[0m"
 # Of the terminal's 256 colours: from braking to accelerating.
@@ -56,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         raise CarInterfaceError(f"-o {options.output}: accepted: a name that ends in " + ", ".join(suffixes))
     if options.output:
         output.check(options.output, [options.file, *filter(None, [options.brake])])
-    limits = ConversionConfig(options.min_value, options.max_value)
+    limits = ConverterConfig(options.min_value, options.max_value)
     name, text = options.file, None
     if options.brake:
         name, text = f"{options.file} with {options.brake}", joined_text(options.file, options.brake)
@@ -69,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         lines, notes = steering_picture(table), list(steering_notes(table))
     else:
         with within(name):
-            Converter(limits, table)
+            limits = replace(limits, value_map=table)
         lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
         notes = list(map_notes(table, limits))
     node = "turn_arb" if is_steering else "generic_value_converter"
@@ -173,7 +174,7 @@ def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
             f"{'m/s':>8}  " + "".join(f"{velocity:6.3g} " for velocity in columns)]
 
 
-def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[str]:
+def map_notes(table: ValueMap, limits: ConverterConfig = LIMITS) -> Iterator[str]:
     """Yield what generic_value_converter accepts and an owner may still want to know."""
     values, velocities = table.values, table.velocities
     smallest, velocity, low, high = min(
