@@ -77,8 +77,8 @@ class MotionInterlock:
             self._rearm_reason = ""
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Take the reason for the deadman by the node that watches it. It is only quoted while the deadman is false."""
-        self._explanation.update("" if present else " ".join(reason.split())[:MAX_EXPLANATION], now_ns)
+        """Take what teleop_logi says of deadman and requests. It is only quoted, of a deadman while that is false."""
+        self._explanation.update((present, " ".join(reason.split())), now_ns)
 
     def update_e_stop(self, locked: bool, now_ns: int) -> None:
         """Take the emergency stop: true = stop, false = not now."""
@@ -133,8 +133,9 @@ class MotionInterlock:
         return self._e_stop.age_s(now_ns)
 
     def _absent_reason(self, now_ns):
-        is_explained = not self._explanation.is_stale(now_ns) and self._explanation.value
-        return f"human_in_loop is false: {self._explanation.value}" if is_explained else "human_in_loop is false"
+        present, reason = self._explanation.fresh(now_ns) or (True, "")
+        is_explained = reason and not present
+        return f"human_in_loop is false: {reason[:MAX_EXPLANATION]}" if is_explained else "human_in_loop is false"
 
     def _lock(self, now_ns):
         if self._config.e_stop_required and not self._e_stop.was_received:

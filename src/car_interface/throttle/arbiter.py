@@ -19,7 +19,7 @@ from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
+from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
 from car_interface.throttle.battery import BatteryConfig, BatteryWatch
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch, Trouble
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
@@ -95,7 +95,6 @@ class ThrottleArbiter(MotionInterlock):
         self._stick = config.stick
         self.scale = Scale(config.stick)
         self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
-        self._teleop_explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
         self._mode = TimedInput("mode", config.mode_timeout_s)
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
@@ -124,14 +123,6 @@ class ThrottleArbiter(MotionInterlock):
             self._overrode_ns = None
             if self._gave_ns is not None:  # a teleop sends 0 without a deadman, even for a stick that is pulled
                 self._gave_ns = now_ns
-
-    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Take teleop_logi's explanation of deadman and requests; reasons quote it.
-
-        From the first call on nobody drives before both mode and stick were received.
-        """
-        super().explain_human(present, reason, now_ns)
-        self._teleop_explanation.update(" ".join(reason.split()), now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Take who steers, and why, from turn_arb's state."""
@@ -253,7 +244,7 @@ class ThrottleArbiter(MotionInterlock):
 
     def _unheard_trouble(self, cause, timed):
         """Return a stop for an input that was never received, though teleop_logi runs, or None."""
-        if self._teleop_explanation.was_received:
+        if self._explanation.was_received:
             return _stop(NEUTRAL, cause, f"{timed.name} was never heard, though teleop_logi runs")
         return None
 
@@ -266,7 +257,7 @@ class ThrottleArbiter(MotionInterlock):
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value
         if not math.isfinite(throttle):
-            explanation = "" if self._teleop_explanation.is_stale(now_ns) else f": {self._teleop_explanation.value}"
+            explanation = "" if self._explanation.is_stale(now_ns) else f": {self._explanation.value[1]}"
             return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
                          f"tele_throt_req is {throttle}, no number to act on{explanation}")
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
