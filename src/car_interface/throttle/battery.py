@@ -69,14 +69,13 @@ class BatteryWatch:
     def update(self, voltage_v: float, now_ns: int) -> None:
         """Take a voltage; NaN, infinite, 0 or less = it isn't measured."""
         is_measured = 0 < voltage_v < math.inf
-        if not is_measured or self._voltage.is_stale(now_ns):
-            for limit in (self._low, self._empty):
-                limit.interrupt()
+        for limit in (self._low, self._empty):
+            if self._voltage.is_stale(now_ns):
+                limit.update(math.nan, now_ns)  # what it was meanwhile isn't known
+            limit.update(voltage_v if is_measured else math.nan, now_ns)
         self._voltage.update(voltage_v, now_ns)
         if is_measured:
             self._valid_v = voltage_v
-            for limit in (self._low, self._empty):
-                limit.update(voltage_v, now_ns)
 
     @property
     def is_empty(self) -> bool:
@@ -110,16 +109,12 @@ class BatteryWatch:
 
 
 class _Limit:
-    """Whether a voltage is below a limit, with hysteresis; 0 = never."""
+    """Whether a voltage is below a limit, with hysteresis; 0 = never. NaN, one that isn't known, asks for no change."""
 
     def __init__(self, volts, recovery_v):
         self.volts, self.end_v = volts, volts + recovery_v
         self.is_below = False
         self._since_ns = None  # since when the voltage asks for a change; None: it doesn't
-
-    def interrupt(self):
-        """Forget since when the voltage asks for a change: what it was meanwhile isn't known."""
-        self._since_ns = None
 
     def update(self, voltage_v, now_ns):
         if not (voltage_v >= self.end_v if self.is_below else voltage_v < self.volts):
