@@ -17,8 +17,6 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number, read_file
 from car_interface.common.lookup_table import check_axis
 
-# A small map is stored in tuples, which are fastest, and a larger one in arrays, which use the cache better.
-MAX_IN_TUPLES = 100_000
 ALLOW_PLATEAUS = "accept a map in which acceleration stays level from one row to the next"  # as a parameter
 RISING = "an acceleration that rises with value"
 JOIN = "check_map --brake brake_map.csv accel_map.csv -o value_map.csv joins Autoware's two maps"
@@ -49,9 +47,7 @@ class ValueMap:
                 raise ConfigError(f"{name}, row of value {value}", list(row), f"{len(velocities)} finite accelerations")
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
-        is_large = len(values) * len(velocities) > MAX_IN_TUPLES
-        store = (lambda column: array("d", column)) if is_large else (lambda column: tuple(map(float, column)))
-        self._columns = [store(column) for column in zip(*accelerations)]
+        self._columns = [array("d", column) for column in zip(*accelerations)]
         for velocity, column in zip(velocities, self._columns):
             _check_rising(values, column, velocity, allow_plateaus, name)
         self._intervals = self._between_columns()
