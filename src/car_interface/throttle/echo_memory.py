@@ -147,11 +147,10 @@ class EchoMemory:
 
     def meets(self, curvature_per_m: float, is_backward: bool) -> dict[str, Met]:
         """Return the first echo of each sonar that the car meets on an arc, by name; others are left out."""
-        if not self._points:
-            return {}
         outline, found = self._outline, {}
         arc = Arc(curvature_per_m, is_backward, outline, self._margin_m)
-        body = None  # without the margin, for points beside the car: it already passes them closely
+        # Without the margin, for points beside the car: it already passes them closely.
+        body = Arc(curvature_per_m, is_backward, outline, 0.0)
         cos_yaw, sin_yaw = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
         from_x_m, from_y_m = self._x_m * cos_yaw + self._y_m * sin_yaw, self._y_m * cos_yaw - self._x_m * sin_yaw
         places = [(point.x_m * cos_yaw + point.y_m * sin_yaw - from_x_m,
@@ -159,12 +158,8 @@ class EchoMemory:
         for point, (x_m, y_m), is_swept in zip(self._points, places, arc.sweeps(places)):
             if not is_swept:
                 continue
-            if -outline.rear_m <= x_m <= outline.front_m:
-                if body is None:
-                    body = Arc(curvature_per_m, is_backward, outline, 0.0)
-                distance_m = body.distance_m(x_m, y_m)
-            else:
-                distance_m = arc.distance_m(x_m, y_m)
+            touched = body if -outline.rear_m <= x_m <= outline.front_m else arc
+            distance_m = touched.distance_m(x_m, y_m)
             if distance_m is not None:
                 before = found.get(point.sonar)
                 if before is None or distance_m < before.distance_m:
