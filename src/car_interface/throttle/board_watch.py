@@ -12,7 +12,6 @@ Time of disagreement adds up; agreement reduces it at a quarter of that rate.
 """
 from __future__ import annotations
 
-import itertools
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
@@ -72,13 +71,13 @@ class BoardWatch:
     def update_command(self, channel: int, duty: int, now_ns: int) -> None:
         """Take turn_arb's command: the steering channel, 0..15, and its duty."""
         self._channel = channel
-        self._commands.append(max(self._config.pwm_min[channel], min(self._config.pwm_max[channel], duty)), now_ns)
+        self._commands.add(max(self._config.pwm_min[channel], min(self._config.pwm_max[channel], duty)), now_ns)
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the board holds, −1 = never set."""
         self._output.update(duties, now_ns)
         if self._channel is not None:
-            self._held.append(duties[self._channel], now_ns)
+            self._held.add(duties[self._channel], now_ns)
 
     def mark_stale(self) -> None:
         """Treat both as unknown, since messages were dropped on their way here."""
@@ -146,42 +145,33 @@ class BoardWatch:
                 f"turn_arb commands {commanded}")
 
 
-class _History:
-    """Keep the duties of the recent past, and when each came into force."""
-
-    def __init__(self):
-        self._entries: deque[tuple[int, int]] = deque()  # since when, duty; oldest first
-
-    def __bool__(self):
-        return bool(self._entries)
+class _History(deque):
+    """Keep the duties of the recent past, each as (since when it was in force, duty), oldest first."""
 
     @property
     def newest(self):
-        return self._entries[-1][1]
+        return self[-1][1]
 
-    def clear(self):
-        self._entries.clear()
-
-    def append(self, duty, now_ns):
+    def add(self, duty, now_ns):
         """Append a duty, if it differs from the newest one."""
-        if not self._entries or self.newest != duty:
-            self._entries.append((now_ns, duty))
+        if not self or self.newest != duty:
+            self.append((now_ns, duty))
 
     def forget(self, before_ns):
         """Drop what was no longer in force then."""
-        while len(self._entries) > 1 and self._entries[1][0] <= before_ns:
-            self._entries.popleft()
+        while len(self) > 1 and self[1][0] <= before_ns:
+            self.popleft()
 
     def changes(self):
         """Return when the duties after the first came into force."""
-        return [since_ns for since_ns, _ in itertools.islice(self._entries, 1, None)]
+        return [since_ns for since_ns, _ in self][1:]
 
     def at(self, at_ns):
         """Return the duty in force at a time; the first one also before it is known."""
-        return next((duty for since_ns, duty in reversed(self._entries) if since_ns <= at_ns), self._entries[0][1])
+        return next((duty for since_ns, duty in reversed(self) if since_ns <= at_ns), self[0][1])
 
     def covers(self, duty, at_ns):
         """Return whether a duty is among those in force within MARGIN_NS of a time, but for rounding."""
-        around = [self.at(at_ns - MARGIN_NS), *(each for since_ns, each in self._entries
+        around = [self.at(at_ns - MARGIN_NS), *(each for since_ns, each in self
                                                 if at_ns - MARGIN_NS < since_ns <= at_ns + MARGIN_NS)]
         return min(around) - ROUNDING_DUTY <= duty <= max(around) + ROUNDING_DUTY
