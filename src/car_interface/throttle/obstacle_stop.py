@@ -27,7 +27,6 @@ from typing import Mapping, Sequence
 from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
-from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.echo_memory import EchoMemory
 from car_interface.throttle.limits import SpeedBound
@@ -100,8 +99,7 @@ class ObstacleStop:
     def __init__(self, config: ObstacleConfig):
         self.config = config
         self._ranges = {name: TimedInput(name, config.timeout_s) for name in config.mounts}
-        self._arrivals_ns: dict[str, deque] = {name: deque(maxlen=CYCLES + 1) for name in config.mounts}
-        self._cycles_s = dict.fromkeys(config.mounts, MAX_CYCLE_S)
+        self._cycles_s: dict[str, deque] = {name: deque(maxlen=CYCLES) for name in config.mounts}
         self._reaches_m = dict.fromkeys(config.mounts, config.max_range_m)
         self._echoes = EchoMemory(config.mounts, config.field_of_view_rad, config.outline, SIDE_MARGIN_M)
         self._fans = {is_backward: self._fan(is_backward) for is_backward in (False, True)}
@@ -117,12 +115,9 @@ class ObstacleStop:
         timed = self._ranges.get(name)
         if timed is None:
             return
+        if timed.was_received:
+            self._cycles_s[name].append(timed.silence_s(now_ns))
         timed.update(range_m, now_ns)
-        arrivals_ns = self._arrivals_ns[name]
-        arrivals_ns.append(now_ns)
-        arrivals = list(arrivals_ns)
-        if len(arrivals) > 1:
-            self._cycles_s[name] = max(after - before for before, after in zip(arrivals, arrivals[1:])) / NS_PER_S
         if range_m == range_m:
             self._reaches_m[name] = max(0.0, min(self.config.max_range_m, range_m))
             self._echoes.look(name, self._reaches_m[name], range_m < self.config.max_range_m)
@@ -156,7 +151,7 @@ class ObstacleStop:
         bound = self._bound_of_unknown(end, stop_mps2, now_ns) if counts_sides or not end.is_edge else None
         for name, met in self._echoes.meets(curvature_per_m, is_backward).items():
             age_s = 0.0 if self._echoes.are_moved else self._ranges[name].age_s(now_ns)
-            time_s = age_s + self._cycles_s[name] + self.config.actuation_s + late_s
+            time_s = age_s + self._cycle_s(name) + self.config.actuation_s + late_s
             speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, stop_mps2)
             if bound is None or speed_mps < bound.speed_mps:
                 bound = SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, self._echo_words(name, met))
@@ -166,11 +161,14 @@ class ObstacleStop:
         config = self.config
         if not end.sonar:
             return SpeedBound(config.creep_mps, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
-        time_s = max(self._ranges[end.sonar].age_s(now_ns), self._cycles_s[end.sonar]) + config.actuation_s
+        time_s = max(self._ranges[end.sonar].age_s(now_ns), self._cycle_s(end.sonar)) + config.actuation_s
         speed_mps = stopping_speed_mps(end.distance_m - config.margin_m, time_s, stop_mps2)
         words = (f"no sonar looks beyond {end.distance_m:.2f} m of this arc, which allows" if end.is_edge
                  else f"{end.sonar} sees nothing to {config.max_range_m:g} m, which allows")
         return SpeedBound(max(config.creep_mps, speed_mps), causes.OBSTACLE_SLOWED, words)
+
+    def _cycle_s(self, name):
+        return max(self._cycles_s[name], default=MAX_CYCLE_S)
 
     def _echo_words(self, name, met):
         if met.is_current:
