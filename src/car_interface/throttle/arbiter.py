@@ -25,9 +25,7 @@ from car_interface.throttle.board_watch import BoardConfig, BoardWatch, Trouble
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
-# The planner's gears as planner_interface publishes them, and the ESC's gear for each.
-COAST_GEAR = "neutral"
-PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
+COAST_GEAR = "neutral"  # the planner's, beside AUTO, DRIVE and REVERSE_GEAR, as planner_interface publishes them
 PLANNER_STATE_TIMEOUT_S = 0.5  # five of its periods: it is published at 10 Hz
 
 # The description that five parameters share.
@@ -314,7 +312,7 @@ class ThrottleArbiter(MotionInterlock):
             return Arbitration(PLANNER, causes.PLANNER, "the planner's gear is neutral: the car coasts", 0.0, 0.0, 0.0,
                                False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
-                           request, False, PLANNER_GEARS.get(gear, DRIVE), speed_mps)
+                           request, False, gear if gear in (AUTO, REVERSE_GEAR) else DRIVE, speed_mps)
 
     def _planner_trouble(self, now_ns):
         """Return why the planner's value can't be followed, or None; without odometry none can."""
