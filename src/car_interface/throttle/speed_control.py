@@ -158,8 +158,7 @@ class SpeedControl:
         self._integral_mps2 = 0.0
         self._gear = DRIVE
         self._stepped_ns: int | None = None
-        self._stalled_ns: int | None = None  # since when it should move but doesn't
-        self._too_fast_ns: int | None = None  # since when it rolls faster than it should
+        self._since_ns: dict[str, int] = {}  # since when what a note tells holds
         self._was_known = False  # whether the speed was, at the last step
         self._driven_mps = 0.0  # the reference, delayed by the motor's lag
         self._past: deque = deque()  # from the reference that odometry shows now up to the newest
@@ -191,7 +190,7 @@ class SpeedControl:
         if request.gear == COAST_GEAR:
             return SpeedCommand(0.0, self.speed.value, COAST_GEAR, True, "")
         acceleration_mps2 = self._follow(request, target_mps, speed_mps, max(0.0, min(dt_s, MAX_STEP_S)), now_ns)
-        notes += self._stall(speed_mps, now_ns) + self._runaway(speed_mps, now_ns)
+        notes += self._notes(speed_mps, now_ns)
         return SpeedCommand(self._sign * acceleration_mps2, self._sign * self._reference.speed_mps, self._gear, True,
                             "; ".join(notes))
 
@@ -224,25 +223,21 @@ class SpeedControl:
             self._begin_anew(0.0)
         return abs(wanted_mps), notes
 
-    def _stall(self, speed_mps, now_ns):
-        """Return a note if the car should have moved for STALL_NS and hasn't."""
-        if self._reference.speed_mps < STANDSTILL_MPS or abs(speed_mps) >= STANDSTILL_MPS:
-            self._stalled_ns = None
-        elif self._stalled_ns is None:
-            self._stalled_ns = now_ns
-        elif now_ns - self._stalled_ns >= STALL_NS:
-            return [f"it doesn't move at {self._reference.speed_mps:.2f} m/s: too slow for this car, or it is held"]
-        return []
+    def _notes(self, speed_mps, now_ns):
+        """Return notes on a car that should have moved for STALL_NS and hasn't, or is too fast for RUNAWAY_NS."""
+        notes, reference_mps = [], self._reference.speed_mps
+        if self._lasts("stall", reference_mps < STANDSTILL_MPS or abs(speed_mps) >= STANDSTILL_MPS, STALL_NS, now_ns):
+            notes.append(f"it doesn't move at {reference_mps:.2f} m/s: too slow for this car, or it is held")
+        if self._lasts("runaway", speed_mps <= reference_mps + RUNAWAY_MPS, RUNAWAY_NS, now_ns):
+            notes.append(f"it rolls at {speed_mps:.2f} m/s instead of {reference_mps:.2f}: {ROLLS_BY_ITSELF}")
+        return notes
 
-    def _runaway(self, speed_mps, now_ns):
-        """Return a note if the car has been faster than the reference for RUNAWAY_NS."""
-        if speed_mps <= self._reference.speed_mps + RUNAWAY_MPS:
-            self._too_fast_ns = None
-        elif self._too_fast_ns is None:
-            self._too_fast_ns = now_ns
-        elif now_ns - self._too_fast_ns >= RUNAWAY_NS:
-            return [f"it rolls at {speed_mps:.2f} m/s instead of {self._reference.speed_mps:.2f}: {ROLLS_BY_ITSELF}"]
-        return []
+    def _lasts(self, what, is_over, for_ns, now_ns):
+        """Return whether something has lasted for a time; it begins anew once it is over."""
+        if is_over:
+            self._since_ns.pop(what, None)
+            return False
+        return now_ns - self._since_ns.setdefault(what, now_ns) >= for_ns
 
     def _wanted_gear(self, request, wanted_mps):
         if request.gear in (DRIVE, REVERSE_GEAR):
