@@ -124,14 +124,6 @@ class MotionInterlock:
         """Return whether the deadman is known to be released."""
         return not self._human.is_stale(now_ns) and not self._human.value
 
-    def human_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the deadman's last message; inf = never received."""
-        return self._human.age_s(now_ns)
-
-    def e_stop_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the emergency stop's last message; inf = never received."""
-        return self._e_stop.age_s(now_ns)
-
     def _absent_reason(self, now_ns):
         present, reason = self._explanation.fresh(now_ns) or (True, "")
         is_explained = reason and not present

@@ -140,7 +140,7 @@ class SteeringArbiter(MotionInterlock):
         """Return who steers at ``now_ns``, with what duty, and why. With a slew limit earlier calls affect the duty."""
         source, duty, cause, reason = self._arbitrate(now_ns)
         limits = self._sources.get(source)
-        ages_s = (self.e_stop_age_s(now_ns), self.human_age_s(now_ns), self._teleop.age_s(now_ns),
+        ages_s = (self._e_stop.age_s(now_ns), self._human.age_s(now_ns), self._teleop.age_s(now_ns),
                   min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
         # 0: another source steers, or the planner sent a steering.
         requested_m = self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0

@@ -206,9 +206,8 @@ class ThrottleArbiter(MotionInterlock):
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Return the seconds since the last message of each input, by name; inf = never received."""
-        timed = (self._steering, self._teleop, self._mode, self._planner, self._odometry)
-        return {"e_stop": self.e_stop_age_s(now_ns), "human_in_loop": self.human_age_s(now_ns),
-                **{one.name: one.age_s(now_ns) for one in timed}}
+        timed = (self._e_stop, self._human, self._steering, self._teleop, self._mode, self._planner, self._odometry)
+        return {one.name: one.age_s(now_ns) for one in timed}
 
     def decide(self, now_ns: int) -> Arbitration:
         """Return who drives at ``now_ns``, with what request, and why."""

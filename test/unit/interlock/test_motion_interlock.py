@@ -1,7 +1,6 @@
 """Whether the car may move at all: lock, deadman, and how what was lost comes back. Time is passed in."""
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
@@ -233,14 +232,6 @@ def test_deadman_is_known_to_be_released_by_a_fresh_false(human, released):
     if human is not None:
         interlock.update_human(human[0], NOW - human[1] * MS)
     assert interlock.is_released(NOW) is released
-
-
-def test_ages_are_those_of_the_last_messages():
-    interlock = MotionInterlock(InterlockConfig())
-    assert (interlock.human_age_s(NOW), interlock.e_stop_age_s(NOW)) == (math.inf, math.inf)
-    interlock.update_human(True, NOW)
-    interlock.update_e_stop(False, NOW + S // 4)
-    assert (interlock.human_age_s(NOW + S), interlock.e_stop_age_s(NOW + S)) == (1.0, 0.75)
 
 
 @pytest.mark.once
