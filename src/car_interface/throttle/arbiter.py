@@ -296,9 +296,8 @@ class ThrottleArbiter(MotionInterlock):
 
     def _by_planner(self, now_ns):
         """Return the planner's request, a stop if there is none, or neutral if no planner ever sent a value."""
-        gear, no_request, speed_mps = AUTO, None, 0.0  # by AUTO no planner reverses
-        if not self._planner_state.is_stale(now_ns):
-            gear, no_request, speed_mps = self._planner_state.value
+        # By AUTO no planner reverses.
+        gear, no_request, speed_mps = self._planner_state.fresh(now_ns) or (AUTO, None, 0.0)
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
