@@ -405,8 +405,7 @@ class Esc:
     # --- stop ---
 
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
-        """Return the answer to a stop: hold on a hill, brake, brake weakly, or neutral; never a push.
-        """
+        """Return the answer to a stop: hold on a hill, brake, brake weakly, or neutral; never a push."""
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
         if self._holds_on_a_hill(now_ns):

@@ -76,13 +76,9 @@ class Slope:
             return
         self._close_window()
         self._accelerated_mps2, self._braked_mps2 = self.acceleration_mps2, 0.0
-        if self._fraction < 0.0 < self._speed_mps:
+        if self._recent and self._fraction < 0.0 < self._recent[-1][1]:
             self._braked_mps2 = min(self._accelerated_mps2 + self._drag_mps2, self._fraction * self._brake_mps2)
         self._fraction, self._held_ns = fraction, now_ns
-
-    @property
-    def _speed_mps(self):
-        return self._recent[-1][1] if self._recent else 0.0
 
     def update_speed(self, speed_mps: float, measured_ns: int, curvature_per_m: float) -> None:
         """Take a speed (forward positive), the time of its measurement, and the curvature (1/m) of the arc."""
