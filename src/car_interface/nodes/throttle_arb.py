@@ -80,15 +80,6 @@ class ThrottleArb(CommandNode):
         self._battery_cause = ""  # of the newest line in the log
         super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
                          {"throttle": self._report, BATTERY_REPORT: self._report_battery})
-        self._subscribe()
-        for sonar in config.obstacles.mounts if config.obstacles else ():
-            subscribe(f"sonar/{sonar}", Range, inbox, partial(self._on_range, sonar))
-        self._reconfigure = self._offer_tuning(config)
-        self._command_topics.start(self._diagnostics.report_now)
-        self._warn_of_calibration_drive()
-
-    def _subscribe(self):
-        inbox = self._inbox
         subscribe_changes("/teleop_logi/tele_throt_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("/teleop_logi/mode", String, inbox, self._on_mode, self._decide)
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
@@ -106,6 +97,11 @@ class ThrottleArb(CommandNode):
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
         subscribe("battery_state", BatteryState, inbox, self._on_battery, wakes=False)
+        for sonar in config.obstacles.mounts if config.obstacles else ():
+            subscribe(f"sonar/{sonar}", Range, inbox, partial(self._on_range, sonar))
+        self._reconfigure = self._offer_tuning(config)
+        self._command_topics.start(self._diagnostics.report_now)
+        self._warn_of_calibration_drive()
 
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
@@ -223,7 +219,7 @@ class ThrottleArb(CommandNode):
 
     def _publish_state(self, decision):
         arbitration, esc = decision.arbitration, decision.esc
-        ages_s = self._control.ages_s(self._now_ns)
+        ages_s = self._arbiter.ages_s(self._now_ns)
         self._states.publish(ThrottleState(
             stamp=self._clocks.ros_now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
@@ -251,7 +247,7 @@ class ThrottleArb(CommandNode):
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
         status.add("profile of the ESC", self._control.esc_config.profile)
-        for name, age_s in self._control.ages_s(self._clocks.now_ns()).items():
+        for name, age_s in self._arbiter.ages_s(self._clocks.now_ns()).items():
             status.add(f"age of {name}", age_text(age_s))
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):

@@ -98,6 +98,7 @@ class ThrottleArbiter(MotionInterlock):
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
         self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
+        self._output = TimedInput("/servo/output", 0.0)
         self._overrode_ns: int | None = None  # when a stick last asked for something under a planner's deadman
         # When a mode last gave the throttle to the planner, or when the deadman was released after that; None: the
         # stick was centered since then.
@@ -133,6 +134,7 @@ class ThrottleArbiter(MotionInterlock):
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the servo board holds, −1 = never set."""
+        self._output.update(duties, now_ns)
         if self._board is not None:
             self._board.update_output(duties, now_ns)
 
@@ -206,7 +208,8 @@ class ThrottleArbiter(MotionInterlock):
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Return the seconds since the last message of each input, by name; inf = never received."""
-        timed = (self._e_stop, self._human, self._steering, self._teleop, self._mode, self._planner, self._odometry)
+        timed = (self._e_stop, self._human, self._steering, self._teleop, self._mode, self._planner, self._odometry,
+                 self._output)
         return {one.name: one.age_s(now_ns) for one in timed}
 
     def decide(self, now_ns: int) -> Arbitration:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
-from car_interface.common.staleness import TimedInput
 from car_interface.throttle.arbiter import PLANNER, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
@@ -69,7 +68,6 @@ class ThrottleControl:
                                        lambda value: self.calibration.request_of_value(value))
         self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
         self._turn_max_mps = self._curvature_per_m = 0.0
-        self._output = TimedInput("/servo/output", 0.0)
 
     def update_planner(self, value: float, now_ns: int) -> None:
         """Take the converter's value for the planner's command."""
@@ -100,10 +98,8 @@ class ThrottleControl:
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the servo board holds, −1 = never set."""
-        duty = duties[self.calibration.channel]
-        self._output.update(duty, now_ns)
         self.arbiter.update_output(duties, now_ns)
-        self._esc.update_held(self.calibration.request_of_duty(duty), now_ns)
+        self._esc.update_held(self.calibration.request_of_duty(duties[self.calibration.channel]), now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
@@ -112,10 +108,6 @@ class ThrottleControl:
         if self._guard is not None:
             self._guard.sonars.mark_stale()
         self._esc.mark_stale()
-
-    def ages_s(self, now_ns: int) -> dict[str, float]:
-        """Return the seconds since the last message of each input, by name; inf = never received."""
-        return {**self.arbiter.ages_s(now_ns), self._output.name: self._output.age_s(now_ns)}
 
     def decide(self, now_ns: int) -> ThrottleDecision:
         """Return what the ESC gets from ``now_ns`` on. The rules remember earlier calls: call it at 20 Hz at least."""

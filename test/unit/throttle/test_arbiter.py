@@ -247,7 +247,7 @@ def test_speed_and_ages_are_those_of_the_last_messages_and_a_speed_counts_while_
     arbiter = arbiter_with(teleop=(REST, 0.2), odometry=(2.0, 0.3))
     assert arbiter.ages_s(NOW) == {
         "e_stop": INF, "human_in_loop": 0.1, "turn_arb's state": 0.1, "tele_throt_req": 0.2, "mode": INF,
-        "the planner's value": INF, "odometry": 0.3}
+        "the planner's value": INF, "odometry": 0.3, "/servo/output": INF}
     assert arbiter.speed_mps(NOW) == 2.0
     assert math.isnan(arbiter.speed_mps(NOW + S)) and math.isnan(arbiter_with(odometry=None).speed_mps(NOW))
 

@@ -176,9 +176,9 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
     rig.human = False
     assert rig.run(0.02).differs_by != first.differs_by
     assert first.arbitration.source == NEUTRAL and math.isfinite(first.scale)
-    assert set(rig.control.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode", "tele_throt_req",
-                                          "the planner's value", "odometry", "/servo/output"}
-    assert rig.control.ages_s(rig.now_ns)["/servo/output"] == 0.0
+    assert set(rig.control.arbiter.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode",
+                                                  "tele_throt_req", "the planner's value", "odometry", "/servo/output"}
+    assert rig.control.arbiter.ages_s(rig.now_ns)["/servo/output"] == 0.0
 
 
 @pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
