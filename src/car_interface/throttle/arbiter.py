@@ -106,9 +106,8 @@ class ThrottleArbiter(MotionInterlock):
         self._no_value: Trouble | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
         self.battery = BatteryWatch(config.battery)
-        self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
-                                    else math.inf)
-        self._resumed_ns: int | None = None  # when the planner asked again after it had no request
+        # That the planner asked again after it had no request.
+        self._resumed = TimedInput("the planner's return", config.command_timeout_s)
 
     @property
     def mode(self) -> str:
@@ -176,7 +175,7 @@ class ThrottleArbiter(MotionInterlock):
         if no_request is not None:
             self._planner.mark_stale("the planner paused")
         elif before is not None and before[1] is not None:
-            self._resumed_ns = now_ns
+            self._resumed.update(True, now_ns)
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the measured speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS it is infinite."""
@@ -185,7 +184,7 @@ class ThrottleArbiter(MotionInterlock):
 
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
-        self._resumed_ns = None
+        self._resumed.mark_stale()
         if self._mode.was_received:
             self._gave_ns = now_ns  # one of them may have been a planner's mode
         super().mark_stale(now_ns)
@@ -332,8 +331,7 @@ class ThrottleArbiter(MotionInterlock):
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""
-        return (self._planner.is_marked_stale and self._resumed_ns is not None
-                and now_ns - self._resumed_ns <= self._command_timeout_ns)
+        return self._planner.is_marked_stale and not self._resumed.is_stale(now_ns)
 
 
 def _stop(source, cause, reason):
