@@ -99,8 +99,3 @@ class EscConfig:
         if 0 < self.reverse_after_neutral_s < self.dwell_s:
             raise ConfigError("esc/reverse_after_neutral", self.reverse_after_neutral_s,
                               f"0 (never), or at least esc/dwell {self.dwell_s}")
-
-    @property
-    def board_holds_pulls(self) -> bool:
-        """Return whether the servo board holds a brake as long as other pulses: after a gap it would reverse."""
-        return self.profile == BRAKE_THEN_REVERSE and self.profile_measured

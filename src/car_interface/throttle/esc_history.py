@@ -9,7 +9,7 @@ Pure: pulses as fractions −1..1 in, each with ``now_ns``; yes or no, or a dura
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
 
 # A duty is rounded to counts of 16, and there are about 1640 from neutral to an end: half a count is 0.005.
 NEUTRAL_TOLERANCE = 0.01
@@ -78,7 +78,8 @@ class EscHistory:
 
     def __init__(self, config: EscConfig):
         self._dwell_ns = round(config.dwell_s * NS_PER_S)
-        self._holds_pull_ns = BOARD_HOLDS_NS if config.board_holds_pulls else BOARD_HOLDS_PULL_NS
+        holds_pulls = config.profile == BRAKE_THEN_REVERSE and config.profile_measured  # after a gap it would reverse
+        self._holds_pull_ns = BOARD_HOLDS_NS if holds_pulls else BOARD_HOLDS_PULL_NS
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message arrived
