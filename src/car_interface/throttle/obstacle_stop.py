@@ -102,13 +102,8 @@ class ObstacleStop:
         self._cycles_s: dict[str, deque] = {name: deque(maxlen=CYCLES) for name in config.mounts}
         self._reaches_m = dict.fromkeys(config.mounts, config.max_range_m)
         self._echoes = EchoMemory(config.mounts, config.field_of_view_rad, config.outline, SIDE_MARGIN_M)
-        self._fans = {is_backward: self._fan(is_backward) for is_backward in (False, True)}
-
-    def _fan(self, is_backward):
-        config = self.config
-        mounts = {name: mount for name, mount in config.mounts.items() if mount.looks_back == is_backward}
-        bumper_m = config.outline.rear_m if is_backward else config.outline.front_m
-        return Fan(mounts, config.field_of_view_rad, bumper_m, is_backward)
+        self._fans = {is_backward: Fan(config.mounts, config.field_of_view_rad, config.outline, is_backward)
+                      for is_backward in (False, True)}
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range in m; inf = no echo, −inf = too near, NaN = a fault."""

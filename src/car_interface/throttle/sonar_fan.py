@@ -131,13 +131,13 @@ class Fan:
     """The fan at one end of the car.
 
     Args:
-        mounts: of the sonars that the car has at that end, by name.
+        mounts: of the car's sonars, by name; those that look to that end count.
         field_of_view_rad: the full angle of each cone.
-        bumper_m: from the rear axle's middle to the bumper at that end.
     """
 
-    def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, bumper_m: float, is_backward: bool):
-        self._bumper_m = bumper_m
+    def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, outline: Outline, is_backward: bool):
+        self._bumper_m = bumper_m = outline.rear_m if is_backward else outline.front_m
+        mounts = {name: mount for name, mount in mounts.items() if mount.looks_back == is_backward}
         if is_backward:
             mounts = {name: Mount(-x_m, y_m, math.pi - yaw_rad) for name, (x_m, y_m, yaw_rad) in mounts.items()}
         mirrored = {name: Mount(x_m, -y_m, -yaw_rad) for name, (x_m, y_m, yaw_rad) in mounts.items()}

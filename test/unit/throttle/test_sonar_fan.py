@@ -17,6 +17,7 @@ FRONT = {"front_right": Mount(0.40, -0.10, -CONE_RAD), "front_middle": Mount(0.4
 REAR = {"rear_right": Mount(-0.12, -0.10, -5 * CONE_RAD), "rear_middle": Mount(-0.14, 0.0, math.pi),
         "rear_left": Mount(-0.12, 0.10, 5 * CONE_RAD)}
 BUMPER_M, REAR_BUMPER_M = 0.426, 0.142
+SLASH = Outline(BUMPER_M, REAR_BUMPER_M)
 
 
 def along(curvature_per_m, way_m):
@@ -88,7 +89,7 @@ def test_points_across_a_cone_are_all_at_its_range_from_one_edge_to_the_other():
 
 
 def fan(mounts, is_backward=False):
-    return Fan(mounts, CONE_RAD, REAR_BUMPER_M if is_backward else BUMPER_M, is_backward)
+    return Fan(mounts, CONE_RAD, SLASH, is_backward)
 
 
 def ends(curvature_per_m, mounts, is_backward=False, **reaches_m):
@@ -130,7 +131,7 @@ def test_the_area_just_before_the_bumper_counts_as_looked_at():
     By hand: the arc begins at atan(0.426) = 23.07° and so leaves the moved edge at 30° + 6.93°.
     """
     right = {"front_right": FRONT["front_right"]}
-    end = Fan(right, math.radians(120), BUMPER_M, False).end(1.0, {"front_right": 2.0})
+    end = Fan(right, math.radians(120), SLASH, False).end(1.0, {"front_right": 2.0})
     assert end == (pytest.approx(math.radians(2 * 6.926), abs=1e-4), "front_right", True, ("front_right",))
 
 
@@ -180,4 +181,4 @@ def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_
 def test_a_circle_beside_a_sonar_far_in_front_of_the_bumper_is_not_free_for_ever():
     """Its path never meets the edge of the cone, and is nowhere beyond the sonar's range."""
     mounts = {"front_left": Mount(1.46, 0.0, 0.9)}
-    assert Fan(mounts, CONE_RAD, BUMPER_M, False).end(-19.0, {"front_left": 2.0}).distance_m < math.pi / 19.0
+    assert Fan(mounts, CONE_RAD, SLASH, False).end(-19.0, {"front_left": 2.0}).distance_m < math.pi / 19.0
