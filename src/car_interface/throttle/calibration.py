@@ -10,7 +10,7 @@ from typing import Sequence
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
 
@@ -37,10 +37,10 @@ class ThrottleCalibration:
         table = LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")
         object.__setattr__(self, "_duty_of_value", table)
         steps = [high - low for low, high in zip(self.duty_table, self.duty_table[1:])]
-        if not any(steps) or min(steps) < 0 < max(steps):
-            raise ConfigError("servo/duty_table", list(self.duty_table), "duties that only rise, or only fall")
-        if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
-            raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
+        require(any(steps) and not min(steps) < 0 < max(steps), "servo/duty_table", list(self.duty_table),
+                "duties that only rise, or only fall")
+        require(min(self.duty_table) <= self.neutral <= max(self.duty_table), "servo/neutral", self.neutral,
+                "a duty within the range of servo/duty_table")
 
     def request_of_value(self, value: float) -> float:
         """Return the request for one of the converter's values; NaN for NaN."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from car_interface.common import causes, declared
-from car_interface.common.errors import ConfigError, within
+from car_interface.common.errors import require, within
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
 
@@ -38,14 +38,12 @@ class ConverterConfig:
     value_map: ValueMap | None = None
 
     def __post_init__(self):
-        if self.min_value > self.max_value:
-            raise ConfigError("min_value", self.min_value, f"at most max_value {self.max_value}")
-        value_map = self.value_map
-        if value_map is not None and not (value_map.values[0] < self.max_value
-                                          and value_map.values[-1] > self.min_value):
-            raise ConfigError("value map", list(value_map.values), f"values within min_value {self.min_value} to "
-                              f"max_value {self.max_value}, or others for these",
-                              f"has values from {value_map.values[0]} to {value_map.values[-1]}")
+        require(not self.min_value > self.max_value, "min_value", self.min_value, f"at most max_value {self.max_value}")
+        if self.value_map is not None:
+            values = self.value_map.values
+            require(values[0] < self.max_value and values[-1] > self.min_value, "value map", list(values),
+                    f"values within min_value {self.min_value} to max_value {self.max_value}, or others for these",
+                    f"has values from {values[0]} to {values[-1]}")
 
     def completed(self, params) -> ConverterConfig:
         """Return the same with the map, if it is used.

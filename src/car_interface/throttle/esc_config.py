@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 
 BRAKE_THEN_REVERSE = "brake_then_reverse"
 BRAKE_BECOMES_REVERSE = "brake_becomes_reverse"
@@ -89,13 +89,12 @@ class EscConfig:
 
     def __post_init__(self):
         declared.check(self)
-        if self.profile_measured and self.profile == UNVERIFIED:
-            raise ConfigError("esc/profile_measured", True, "false, while esc/profile is unverified")
-        if self.calibration_drive and self.profile != UNVERIFIED:
-            raise ConfigError("esc/calibration_drive", True, f"false, or esc/profile {UNVERIFIED}")
-        if 0 < self.stop_brake < self.dead_band_reverse:
-            raise ConfigError("esc/stop_brake", self.stop_brake,
-                              f"0 (a stop coasts), or at least esc/dead_band_reverse {self.dead_band_reverse}")
-        if 0 < self.reverse_after_neutral_s < self.dwell_s:
-            raise ConfigError("esc/reverse_after_neutral", self.reverse_after_neutral_s,
-                              f"0 (never), or at least esc/dwell {self.dwell_s}")
+        is_unverified = self.profile == UNVERIFIED
+        require(not (self.profile_measured and is_unverified), "esc/profile_measured", True,
+                "false, while esc/profile is unverified")
+        require(is_unverified or not self.calibration_drive, "esc/calibration_drive", True,
+                f"false, or esc/profile {UNVERIFIED}")
+        require(not 0 < self.stop_brake < self.dead_band_reverse, "esc/stop_brake", self.stop_brake,
+                f"0 (a stop coasts), or at least esc/dead_band_reverse {self.dead_band_reverse}")
+        require(not 0 < self.reverse_after_neutral_s < self.dwell_s, "esc/reverse_after_neutral",
+                self.reverse_after_neutral_s, f"0 (never), or at least esc/dwell {self.dwell_s}")

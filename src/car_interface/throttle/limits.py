@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Callable, NamedTuple
 
 from car_interface.common import causes, declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.throttle.arbiter import PLANNER, STALE, TELEOP, Arbitration
 from car_interface.throttle.esc_intention import DRIVE
@@ -66,8 +66,8 @@ class ThrottleLimits:
                                         ("max_braking", limits.max_braking_mps2)) if value]
         if not limited:
             return self
-        if self.map_path is None:
-            raise ConfigError(*limited[0], "0, or csv_path_value_map, the value map that says what the ESC's duties do")
+        require(self.map_path is not None, *limited[0],
+                "0, or csv_path_value_map, the value map that says what the ESC's duties do")
         return replace(self, value_map=load_value_map(self.map_path, self.allow_plateaus))
 
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 from typing import Mapping, Sequence
 
 from car_interface.common import causes, declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.staleness import TimedInput
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.echo_memory import EchoMemory
@@ -88,8 +88,8 @@ class ObstacleConfig:
 
 def _read_mount(params, name):
     numbers = params.numbers(f"{HUB}sonars/{name}")
-    if len(numbers) != len(Mount._fields):
-        raise ConfigError(f"{HUB}sonars/{name}", numbers, "three numbers: x, y in m, and yaw in rad")
+    require(len(numbers) == len(Mount._fields), f"{HUB}sonars/{name}", numbers,
+            "three numbers: x, y in m, and yaw in rad")
     return Mount(*numbers)
 
 

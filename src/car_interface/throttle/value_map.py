@@ -13,7 +13,7 @@ from array import array
 from bisect import bisect_right
 from typing import Iterator, NamedTuple, Sequence
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.input_file import finite_number, read_file
 from car_interface.common.lookup_table import check_axis
 
@@ -40,11 +40,11 @@ class ValueMap:
                  allow_plateaus: bool = False, name: str = "value map"):
         check_axis(values, f"{name}, values")
         check_axis(velocities, f"{name}, velocities")
-        if len(accelerations) != len(values):
-            raise ConfigError(f"{name}, rows", len(accelerations), f"{len(values)}, one for each value")
+        require(len(accelerations) == len(values), f"{name}, rows", len(accelerations),
+                f"{len(values)}, one for each value")
         for value, row in zip(values, accelerations):
-            if len(row) != len(velocities) or not all(map(math.isfinite, row)):
-                raise ConfigError(f"{name}, row of value {value}", list(row), f"{len(velocities)} finite accelerations")
+            require(len(row) == len(velocities) and all(map(math.isfinite, row)), f"{name}, row of value {value}",
+                    list(row), f"{len(velocities)} finite accelerations")
         self.values = tuple(map(float, values))
         self.velocities = tuple(map(float, velocities))
         self._columns = [array("d", column) for column in zip(*accelerations)]
@@ -119,11 +119,11 @@ class ValueMap:
 
 
 def _check_rising(values, column, velocity, allow_plateaus, name):
-    if not math.isfinite(column[-1] - column[0]):
-        raise ConfigError(f"{name}, at velocity {velocity} m/s", (column[0], column[-1]), "a finite span")
-    if min(column) == max(column):  # the inverse would answer any acceleration above it with the last value
-        raise ConfigError(f"{name}, at velocity {velocity} m/s", column[0], RISING,
-                          f"is {column[0]} m/s² for every value")
+    require(math.isfinite(column[-1] - column[0]), f"{name}, at velocity {velocity} m/s", (column[0], column[-1]),
+            "a finite span")
+    # The inverse would answer any acceleration above it with the last value.
+    require(min(column) != max(column), f"{name}, at velocity {velocity} m/s", column[0], RISING,
+            f"is {column[0]} m/s² for every value")
     for index in range(1, len(column)):
         before, after = column[index - 1], column[index]
         if after > before or allow_plateaus and after == before:
@@ -154,9 +154,8 @@ def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = N
         ConfigError: naming file, line, column and fault.
     """
     grid = read_grid(path, text)
-    if grid.falls():
-        raise ConfigError(path, "falling", f"{RISING}; {JOIN}", "has an acceleration that falls with value, as a "
-                          "brake_map has")
+    require(not grid.falls(), path, "falling", f"{RISING}; {JOIN}",
+            "has an acceleration that falls with value, as a brake_map has")
     return ValueMap(*grid, allow_plateaus, path)
 
 
@@ -173,19 +172,16 @@ def read_grid(path: str, text: str | None = None) -> Grid:
     for lines, row in _read_rows(path, text):
         if lines == 1:
             width = len(row)
-            if width < 3:
-                raise ConfigError(f"{path}, line 1", row, "a name and at least two velocities")
+            require(width >= 3, f"{path}, line 1", row, "a name and at least two velocities")
             velocities = _numbers(path, 1, row, first_column=1)
         else:
-            if len(row) != width:
-                raise ConfigError(f"{path}, line {lines}", len(row), f"{width}, as in line 1",
-                                  f"has {len(row)} columns")
+            require(len(row) == width, f"{path}, line {lines}", len(row), f"{width}, as in line 1",
+                    f"has {len(row)} columns")
             value, *numbers = _numbers(path, lines, row, first_column=0)
             values.append(value)
             accelerations.append(array("d", numbers))
-    if lines < 3:
-        raise ConfigError(path, lines, "a line of velocities and at least two lines of accelerations",
-                          f"has {lines} line(s)")
+    require(lines >= 3, path, lines, "a line of velocities and at least two lines of accelerations",
+            f"has {lines} line(s)")
     _check_file_axis(path, velocities, lambda index: (1, index + 2))
     _check_file_axis(path, values, lambda index: (index + 2, 1))
     return Grid(values, velocities, accelerations)
@@ -202,8 +198,7 @@ def _read_rows(path, text) -> Iterator[tuple[int, list[str]]]:
             if not any(cells):
                 blank = blank or number
                 continue
-            if blank:
-                raise ConfigError(f"{path}, line {blank}", "", "numbers; a blank line may only come last", "is blank")
+            require(not blank, f"{path}, line {blank}", "", "numbers; a blank line may only come last", "is blank")
             yield number, cells if cells[-1] else cells[:-1]
     except OSError as error:
         raise ConfigError("csv_path_value_map", path, f"a file that can be read ({error.strerror})") from error
@@ -223,7 +218,6 @@ def _numbers(path, line, cells, first_column):
 
 def _check_file_axis(path, axis, place):
     for index in range(1, len(axis)):
-        if not axis[index] > axis[index - 1]:
-            line, column = place(index)
-            raise ConfigError(f"{path}, line {line}, column {column}", axis[index],
-                              f"more than the one before it, {axis[index - 1]}")
+        line, column = place(index)
+        require(axis[index] > axis[index - 1], f"{path}, line {line}, column {column}", axis[index],
+                f"more than the one before it, {axis[index - 1]}")
