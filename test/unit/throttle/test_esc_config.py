@@ -11,12 +11,6 @@ def test_what_just_fits_is_accepted(changes):
     EscConfig(**changes)
 
 
-@pytest.mark.parametrize("profile, is_measured, holds", [
-    ("brake_then_reverse", True, True), ("brake_then_reverse", False, False), ("brake_becomes_reverse", True, False)])
-def test_board_holds_the_pulls_of_an_esc_that_was_measured_to_brake_first(profile, is_measured, holds):
-    assert EscConfig(profile=profile, profile_measured=is_measured).board_holds_pulls is holds
-
-
 @pytest.mark.parametrize("changes, text", [
     ({"profile": "xl5"}, "esc/profile is 'xl5'; accepted: one of brake_then_reverse"),
     ({"profile_measured": True}, "esc/profile_measured is True; accepted: false, while esc/profile is unverified"),

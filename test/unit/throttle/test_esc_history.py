@@ -167,6 +167,13 @@ def test_board_that_let_go_during_a_pause_has_had_neutral_since_then():
     assert history.neutral_ns(500 * MS) == 300 * MS
 
 
+@pytest.mark.parametrize("profile, is_measured, holds", [
+    ("brake_then_reverse", True, True), ("brake_then_reverse", False, False), ("brake_becomes_reverse", True, False)])
+def test_board_holds_the_pulls_of_an_esc_that_was_measured_to_brake_first(profile, is_measured, holds):
+    history, now_ns = played([("sent", -0.5, 0)], EscConfig(profile=profile, profile_measured=is_measured))
+    assert history.resume(now_ns + 100 * MS) is not holds
+
+
 def test_neutral_counts_where_it_is_sent_and_held():
     history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.01, 200)])
     assert history.neutral_ns(now_ns) == 500 * MS
