@@ -64,8 +64,7 @@ class ThrottleControl:
         self.arbiter = ThrottleArbiter(arbiter)
         self.calibration = calibration
         self.esc_config, self._esc = esc, Esc(esc)
-        self.limiter = ThrottleLimiter(limits or ThrottleLimits(),
-                                       lambda value: self.calibration.request_of_value(value))
+        self.limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
         self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
         self._turn_max_mps = self._curvature_per_m = 0.0
 
@@ -100,6 +99,9 @@ class ThrottleControl:
         """Take the 16 duties that the servo board holds, −1 = never set."""
         self.arbiter.update_output(duties, now_ns)
         self._esc.update_held(self.calibration.request_of_duty(duties[self.calibration.channel]), now_ns)
+
+    def _request_of_value(self, value):
+        return self.calibration.request_of_value(value)
 
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
