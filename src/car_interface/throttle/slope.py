@@ -21,6 +21,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
@@ -81,9 +82,12 @@ class Slope:
         self._fraction, self._held_ns = fraction, now_ns
 
     def update_speed(self, speed_mps: float, measured_ns: int, curvature_per_m: float) -> None:
-        """Take a speed (forward positive), the time of its measurement, and the curvature (1/m) of the arc."""
+        """Take a speed (forward positive), the time of its measurement, and the curvature (1/m) of the arc.
+
+        One that is NaN or beyond MAX_SPEED_MPS is none.
+        """
         recent = self._recent
-        if not math.isfinite(speed_mps) or recent and measured_ns <= recent[-1][0]:
+        if not abs(speed_mps) <= MAX_SPEED_MPS or recent and measured_ns <= recent[-1][0]:
             return
         way_m = speed_mps * min(1.0, (measured_ns - recent[-1][0]) / NS_PER_S) if recent else 0.0
         self._yaw_rad += way_m * curvature_per_m

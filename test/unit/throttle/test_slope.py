@@ -243,8 +243,9 @@ def test_whatever_it_is_told_it_promises_no_more_than_configured(speeds, fractio
         assert math.isfinite(slope.acceleration_mps2) and slope.brake_lacks_mps2 >= 0.0
 
 
-@pytest.mark.parametrize("speed_mps, later_ms", [(math.nan, 20), (math.inf, 20), (5.0, 0), (5.0, -20)])
-def test_speed_that_is_no_number_or_not_newer_changes_nothing(speed_mps, later_ms):
+@pytest.mark.parametrize("speed_mps, later_ms", [
+    (math.nan, 20), (math.inf, 20), (1e200, 20), (-100.1, 20), (5.0, 0), (5.0, -20)])
+def test_speed_that_is_no_car_s_or_not_newer_changes_nothing(speed_mps, later_ms):
     car = Car()
     car.run(0.5, 0.4, 2.3)
     before = car.run(0.5).coasting(False)
