@@ -85,24 +85,19 @@ class GenericValueConverter:
         before, conversion = self._conversion, self._converter.convert(message.longitudinal.acceleration, now_ns)
         self._conversion = conversion
         self._counts["commands"] += 1
-        if conversion.value is None:
-            if conversion.cause != before.cause:
-                self._publish_state()
-            self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
-            return
-        self._counts["values"] += 1
-        self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", self._clocks.now_ns()),
-                                            data=conversion.value))
-        if before.value is None:
+        if conversion.value is not None:
+            self._counts["values"] += 1
+            self._values.publish(Float64Stamped(stamp=self._ros_clock.stamp("value", self._clocks.now_ns()),
+                                                data=conversion.value))
+        if conversion.cause != before.cause:
             self._publish_state()
+        if conversion.value is None:
+            self._warnings.warn(conversion.cause, f"no output: {conversion.reason}")
 
     def _publish_state(self):
         value, cause, reason = self._conversion
-        if value is None:
-            value = math.nan
-        else:
-            cause, reason = causes.CONVERTING, f"the value is {value:.3f}"
-        self._states.publish(ConverterState(stamp=self._clocks.ros_now(), value=value, cause=cause, reason=reason))
+        self._states.publish(ConverterState(stamp=self._clocks.ros_now(), value=math.nan if value is None else value,
+                                            cause=cause, reason=reason))
 
     def _report(self, status):
         """Report on /diagnostics whether commands are converted, and why not."""
@@ -114,7 +109,7 @@ class GenericValueConverter:
         else:
             status.summary(OK, "converting")
         status.add("age of odometry", age_text(self._converter.odometry.age_s(self._clocks.now_ns())))
-        status.add("cause", conversion.cause or causes.CONVERTING)
+        status.add("cause", conversion.cause)
         status.add("commands", self._counts["commands"])
         status.add("values sent", self._counts["values"])
         for kind, count in sorted(self._warnings.counts.items()):

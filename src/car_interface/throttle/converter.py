@@ -60,11 +60,11 @@ class ConverterConfig:
 
 
 class Conversion(NamedTuple):
-    """A value to send, or ``None`` with cause and reason."""
+    """A value to send, or ``None``, and why."""
 
     value: float | None
-    cause: str = ""  # one of car_interface.common.causes; empty with a value
-    reason: str = ""
+    cause: str  # one of car_interface.common.causes
+    reason: str
 
 
 class Converter:
@@ -83,13 +83,14 @@ class Converter:
         if not math.isfinite(acceleration):
             return Conversion(None, causes.COMMAND_NOT_FINITE, f"the commanded acceleration is {acceleration}")
         if self._map is None:
-            return Conversion(self._clamp(acceleration))
+            return self._clamped(acceleration)
         odometry = self.odometry
         if odometry.is_stale(now_ns):
             return Conversion(None, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
             return Conversion(None, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
-        return Conversion(self._clamp(self._map.value_at(acceleration, odometry.value)))
+        return self._clamped(self._map.value_at(acceleration, odometry.value))
 
-    def _clamp(self, value):
-        return max(self._config.min_value, min(self._config.max_value, value))
+    def _clamped(self, value):
+        value = max(self._config.min_value, min(self._config.max_value, value))
+        return Conversion(value, causes.CONVERTING, f"the value is {value:.3f}")

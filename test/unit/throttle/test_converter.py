@@ -28,13 +28,13 @@ def convert(acceleration, velocity=0.0, age_s=0.1, value_map=MAP, **config):
     (2.0, 0.0, 1.0), (2.0, 10.0, 1.5), (2.0, 5.0, 1.25), (-4.0, 0.0, -2.0), (100.0, 0.0, 3.0), (-100.0, 0.0, -5.0),
     (8.0, 0.0, 3.0), (2.0, -3.0, 1.0)])
 def test_command_is_looked_up_and_clamped(acceleration, velocity, value):
-    assert convert(acceleration, velocity) == (pytest.approx(value), "", "")
+    assert convert(acceleration, velocity) == (pytest.approx(value), "converting", f"the value is {value:.3f}")
 
 
 @pytest.mark.parametrize("acceleration, value", [(1.5, 1.5), (3.1, 3.0), (-5.1, -5.0)])
 @pytest.mark.parametrize("velocity", [None, math.nan])
 def test_command_passed_through_needs_neither_map_nor_odometry(acceleration, value, velocity):
-    assert convert(acceleration, velocity, value_map=None) == (value, "", "")
+    assert convert(acceleration, velocity, value_map=None) == (value, "converting", f"the value is {value:.3f}")
 
 
 @pytest.mark.parametrize("value_map", [MAP, None])
@@ -73,7 +73,7 @@ def test_command_that_is_not_finite_gets_no_value(acceleration, value_map):
     ({"age_s": 1e6, "odometry_timeout_s": 0.0}, None),
 ])
 def test_without_finite_and_fresh_odometry_there_is_no_value(odometry, trouble):
-    assert convert(1.0, **odometry) == ((None, *trouble) if trouble else (0.5, "", ""))
+    assert convert(1.0, **odometry) == ((None, *trouble) if trouble else (0.5, "converting", "the value is 0.500"))
 
 
 def test_newest_odometry_counts_unless_messages_were_dropped():
