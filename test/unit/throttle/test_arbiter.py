@@ -248,6 +248,8 @@ def test_speed_and_ages_are_those_of_the_last_messages_and_a_speed_counts_while_
     assert arbiter.ages_s(NOW) == {
         "e_stop": INF, "human_in_loop": 0.1, "turn_arb's state": 0.1, "tele_throt_req": 0.2, "mode": INF,
         "the planner's value": INF, "odometry": 0.3, "/servo/output": INF}
+    arbiter.update_e_stop(False, NOW)
+    assert arbiter.ages_s(NOW + S // 2)["e_stop"] == 0.5
     assert arbiter.speed_mps(NOW) == 2.0
     assert math.isnan(arbiter.speed_mps(NOW + S)) and math.isnan(arbiter_with(odometry=None).speed_mps(NOW))
 
