@@ -38,25 +38,11 @@ class ChannelConfig:
     forgets_ms: int = 0  # so much neutral after a push, and it takes no pull for a brake any more; 0 = never
 
 
-class Accepted(NamedTuple):
-    """The channels that a command set to a limit, and that it didn't set."""
-
-    clamped: Sequence[int]  # those whose duty was beyond pwm_min or pwm_max
-    refused: Sequence[int]  # those whose value is not a duty; they keep their target, and their timeout runs on
-
-
 class TimedOut(NamedTuple):
     """The reason why a channel that was commanded is at its timeout value."""
 
     since_ns: int  # when its timeout had passed, or when ``make_safe`` was called
     was_made_safe: bool  # by ``make_safe``, and no command has come since
-
-
-class Followed(NamedTuple):
-    """The channels whose timeout values a vector of neutrals changed, and those that refused it."""
-
-    changed: dict[int, int]  # the new timeout value by channel
-    refused: Sequence[int]  # those whose neutral is not a duty or beyond live_range: they keep their timeout value
 
 
 class Channels:
@@ -80,8 +66,12 @@ class Channels:
         self._sides: dict[int, tuple[int, int]] = {}  # 1 = a pull, −1 = a push, 0 = neither; since when
         self._brakes: set[int] = set()  # the next pull, or the present one, is a brake
 
-    def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
+    def command(self, duties: Sequence[int], now_ns: int) -> tuple[list[int], list[int]]:
         """Set targets by a vector of 16 duties, −1 = unchanged. Each duty restarts its channel's timeout.
+
+        Returns:
+            The channels whose duty was beyond pwm_min or pwm_max and is clamped, and those whose value is not a duty:
+            they keep their target, and their timeout runs on.
 
         Raises:
             ValueError: unless there are exactly 16; then nothing changes.
@@ -108,7 +98,7 @@ class Channels:
                 self._deadlines_ns[channel] = now_ns + timeout_ms * NS_PER_MS
             else:
                 self._deadlines_ns.pop(channel, None)
-        return Accepted(clamped, refused)
+        return clamped, refused
 
     def _timeout_ms(self, channel, duty):
         config = self._configs[channel]
@@ -142,10 +132,14 @@ class Channels:
             self._follow_side(channel, self.timeout_values[channel], now_ns)
         return expired
 
-    def follow(self, neutrals: Sequence[int]) -> Followed:
+    def follow(self, neutrals: Sequence[int]) -> tuple[dict[int, int], list[int]]:
         """Set timeout values by a vector of 16 neutrals, −1 = none, from the nodes that command the channels.
 
         A channel whose timeout value at start is 0 (off) stays off.
+
+        Returns:
+            The new timeout values by channel, and the channels whose neutral is not a duty or beyond live_range: they
+            keep their timeout value.
 
         Raises:
             ValueError: unless there are exactly 16.
@@ -164,7 +158,7 @@ class Channels:
             self.timeout_counts[channel] = counts_of_duty(duty)
             if channel not in self._commanded:
                 self._targets[channel] = self.timeout_counts[channel]
-        return Followed(changed, refused)
+        return changed, refused
 
     def make_safe(self, now_ns: int) -> None:
         self._timed_out.update((channel, TimedOut(now_ns, True)) for channel in self._commanded)

@@ -142,9 +142,9 @@ def test_neutral_is_followed_only_so_far(duty, live_range, timeout_value, follow
 
 def test_reach_is_measured_from_the_start_however_often_a_neutral_moves():
     board = channels(live_range=500)
-    assert board.follow(vector({0: 5500})).changed and board.follow(vector({0: 5900})).refused == [0]
+    assert board.follow(vector({0: 5500}))[0] and board.follow(vector({0: 5900})) == ({}, [0])
     assert board.timeout_values[0] == 5500
-    assert board.follow(vector({0: 5100})).changed == {0: 5100}
+    assert board.follow(vector({0: 5100})) == ({0: 5100}, [])
 
 
 @pytest.mark.parametrize("pulls, pull, push", [(-1, 4000, 6000), (1, 6000, 4000)])

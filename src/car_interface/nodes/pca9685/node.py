@@ -265,18 +265,18 @@ class Pca9685:
             self._held_back += 1
             return
         try:
-            accepted = self._channels.command(message.data, now_ns)
+            clamped, refused = self._channels.command(message.data, now_ns)
         except ValueError as error:
             self._warnings.warn("length", f"{error}: refused")
             return
         self._senders.update(sender_of(message), message.data, now_ns)
         self._dropped += not self._supervisor.running
-        if accepted.refused:
-            first = accepted.refused[0]
-            self._warnings.warn("refused", f"{listed(accepted.refused)} refused: {message.data[first]} of channel "
-                                             f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
-        if accepted.clamped:
-            self._warnings.warn("clamped", f"{listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+        if refused:
+            first = refused[0]
+            self._warnings.warn("refused", f"{listed(refused)} refused: {message.data[first]} of channel {first} is no "
+                                           f"duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
+        if clamped:
+            self._warnings.warn("clamped", f"{listed(clamped)}: beyond pwm_min or pwm_max, clamped")
 
     def _timeout_faults(self, now_ns, topics):
         return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics,
@@ -285,18 +285,17 @@ class Pca9685:
     def _on_neutral(self, message, now_ns):
         """Let timeout values follow the neutrals of the nodes that command the channels."""
         try:
-            followed = self._channels.follow(message.data)
+            changed, refused = self._channels.follow(message.data)
         except ValueError as error:
             self._warnings.warn("length of neutrals", f"{error}: refused")
             return
-        for channel in followed.refused:
+        for channel in refused:
             self._warnings.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
                                              f"its timeout value is {self._channels.timeout_values[channel]}: too far "
                                              "to follow. Start both nodes with the same YAML file")
-        if followed.changed:
-            self._warnings.warn("followed", f"the timeout value of {listed(sorted(followed.changed))} follows "
-                                              "servo/neutral, away from the YAML file's. To save it: ~save of the node "
-                                              "that was tuned")
+        if changed:
+            self._warnings.warn("followed", f"the timeout value of {listed(sorted(changed))} follows servo/neutral, away "
+                                            "from the YAML file's. To save it: ~save of the node that was tuned")
 
     def _update(self):
         self._supervisor.update(self._targets, self._clocks.now_ns())
