@@ -87,13 +87,16 @@ def explain(error: OSError, device: str, bus_exists: bool, header: Header) -> tu
         bus_exists: there is a file at that path.
     """
     bus = device.rsplit("-", 1)[-1]
+    pins = ""  # which bus the header's is, if this is another one
+    if header.computer and device != header.bus_paths[0]:
+        pins = f"Pins 3 and 5 of a {header.computer} are bus {header.buses[0]}: i2c:={header.bus_paths[0]}"
     if isinstance(error, BoardMismatch):
         return (f"it answers, but does not keep what it is told ({error})",
                 "See whether another chip has this address, and whether its power holds")
     if isinstance(error, (UnsafeFile, BoardNotFound)):
         return error.cause, error.remedy
     if not bus_exists:
-        return "there is no such bus", _absence_remedy(device, header)
+        return "there is no such bus", pins or header.bus_remedy
     if error.errno == errno.EAGAIN:
         return "another pca9685 node has this board", "See which: rosnode list"
     if error.errno in (errno.EACCES, errno.EPERM):
@@ -107,23 +110,9 @@ def explain(error: OSError, device: str, bus_exists: bool, header: Header) -> tu
         return (f"something holds the bus down ({error.strerror})",
                 "Check SDA and SCL for a short; power all that is on the bus off and on")
     if error.errno == errno.EBUSY:
-        return "a kernel driver has this address (i2cdetect: UU)", _taken_remedy(device, header)
+        # On another bus that is a chip of the computer's own.
+        remedy = (f"Leave that chip alone: it is the computer's own. {pins}" if pins else
+                  "Is it the board, by a device-tree overlay? Remove that. Or another chip? Give the board another "
+                  "address by its solder pads, and address:=0x41")
+        return "a kernel driver has this address (i2cdetect: UU)", remedy
     return f"the bus failed ({error})", f"See what is on the bus: i2cdetect -y {bus}"
-
-
-def _absence_remedy(device, header):
-    if header.computer and device != header.bus_paths[0]:
-        return f"{_header_text(header)}: i2c:={header.bus_paths[0]}"
-    return header.bus_remedy
-
-
-def _taken_remedy(device, header):
-    """Return the remedy for an address that a driver has. On another bus that is a chip of the computer's own."""
-    if header.computer and device != header.bus_paths[0]:
-        return f"Leave that chip alone: it is the computer's own. {_header_text(header)}: i2c:={header.bus_paths[0]}"
-    return ("Is it the board, by a device-tree overlay? Remove that. Or another chip? Give the board another address by"
-            " its solder pads, and address:=0x41")
-
-
-def _header_text(header):
-    return f"Pins 3 and 5 of a {header.computer} are bus {header.buses[0]}"
