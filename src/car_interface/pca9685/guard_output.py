@@ -22,10 +22,8 @@ class OutputReadings:
 
     def update(self, counts: tuple[int, ...], now_ns: int) -> None:
         """Take a reading: 16 times 0..4096 counts."""
-        if counts == self._newest and now_ns < self._repeat_ns:
-            return
-        if counts == self._newest and self.pending:
-            return  # the same reading still waits to be published
+        if counts == self._newest and (now_ns < self._repeat_ns or self.pending):
+            return  # it still waits, or was published just now
         self._newest = counts
         self._repeat_ns = now_ns + PERIOD_NS
         self.pending.append([duty_of_counts(each) for each in counts])

@@ -115,12 +115,11 @@ class BoardSupervisor:
 
     def all_off(self, now_ns: int) -> bool:
         """Switch every output off; return whether the chip acknowledged."""
-        if self._board is None:
-            return False
-        try:
-            self._repeat(self._board.all_off)
-        except OSError as error:
-            self._disconnect(error, now_ns)
+        if self._board is not None:
+            try:
+                self._repeat(self._board.all_off)
+            except OSError as error:
+                self._disconnect(error, now_ns)
         return self._board is not None
 
     def retry_now(self) -> None:
@@ -147,8 +146,7 @@ class BoardSupervisor:
             self._on_event(FOUND, None)
 
     def _write(self, targets):
-        if differences(self._board.held, targets()):
-            self._repeat(lambda: self._board.write(differences(self._board.held, targets())))
+        self._repeat(lambda: self._board.write(differences(self._board.held, targets())))
 
     def _repeat(self, transfer):
         try:
