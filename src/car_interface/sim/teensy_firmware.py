@@ -75,8 +75,8 @@ class TeensyFirmware:
         echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
-        self._incoming = uart.IncomingLine()
-        self._outgoing = uart.OutgoingLine()
+        self._incoming = uart.Wire()
+        self._outgoing = uart.Wire()
         self._sensors = [
             SonarSensor(config.sonar_pulse_end_us, partial(echo_us, number), Random(f"{config.seed} {number}"))
             for number in range(uart.SONARS)]
@@ -177,7 +177,7 @@ class TeensyFirmware:
     def _run(self) -> Generator[int, int, None]:
         now_ns = yield self._resume_ns
         self._runs = True
-        self._incoming.drop(now_ns)
+        self._incoming.collect(now_ns)  # lost
         now_ns = yield from self._sonars.begin(now_ns)
         self._axle.begin(now_ns)
         while True:

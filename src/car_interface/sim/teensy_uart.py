@@ -138,38 +138,6 @@ class Receiver:
         return packet
 
 
-class IncomingLine:
-    """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time."""
-
-    def __init__(self):
-        self._bytes: deque[tuple[int, int]] = deque()  # when each is complete, and which it is
-        self._burst_ns = self._count = 0  # since when bytes follow each other without a pause, and how many
-
-    @property
-    def backlog(self) -> int:
-        return len(self._bytes)
-
-    @property
-    def next_ns(self) -> int:
-        """Return when the next byte is complete; NEVER_NS when none is on the wire."""
-        return self._bytes[0][0] if self._bytes else NEVER_NS
-
-    def write(self, data: bytes, now_ns: int):
-        if not self._bytes:
-            self._burst_ns, self._count = now_ns, 0
-        for byte in data:
-            self._count += 1
-            self._bytes.append((self._burst_ns + line_ns(self._count), byte))
-
-    def pop(self) -> int:
-        return self._bytes.popleft()[1]
-
-    def drop(self, now_ns: int):
-        """Discard the bytes that have arrived by now, as while it boots."""
-        while self.next_ns <= now_ns:
-            self.pop()
-
-
 class Transmitter:
     """Queues packets and frames them for the line.
 
@@ -180,7 +148,7 @@ class Transmitter:
     It first sends the frame that the firmware makes of a packet that isn't there.
     """
 
-    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int]):
+    def __init__(self, line: Wire, pool: PacketPool, counters: dict[str, int]):
         self._line = line
         self._pool = pool
         self._counters = counters
@@ -264,12 +232,21 @@ class Transmitter:
         return None
 
 
-class OutgoingLine:
-    """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner."""
+class Wire:
+    """One direction of the line, with the sender's buffer: bytes arrive in order, ten bits each, never sooner."""
 
     def __init__(self):
         self._bytes: deque[tuple[int, int]] = deque()  # when its last bit is out, and which it is
         self._free_ns = AT_ONCE_NS
+
+    @property
+    def backlog(self) -> int:
+        return len(self._bytes)
+
+    @property
+    def next_ns(self) -> int:
+        """Return when the next byte has arrived; NEVER_NS when none is on the wire."""
+        return self._bytes[0][0] if self._bytes else NEVER_NS
 
     def write(self, data: bytes, now_ns: int):
         start_ns = max(now_ns, self._free_ns)
@@ -286,11 +263,14 @@ class OutgoingLine:
         spare = BUFFER_SIZE + 1 - min(count, BUFFER_SIZE)
         return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // BAUD)
 
+    def pop(self) -> int:
+        return self._bytes.popleft()[1]
+
     def collect(self, now_ns: int) -> bytes:
         """Return the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
         out = bytearray()
-        while self._bytes and self._bytes[0][0] <= now_ns:
-            out.append(self._bytes.popleft()[1])
+        while self.next_ns <= now_ns:
+            out.append(self.pop())
         return bytes(out)
 
     def cut(self, now_ns: int):

@@ -8,7 +8,7 @@ import pytest
 import teensy_bench
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.teensy_uart import OutgoingLine, frame_body, line_ns
+from car_interface.sim.teensy_uart import Wire, frame_body, line_ns
 from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, ping, wheel_reports
 
 
@@ -66,7 +66,7 @@ def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
 
 
 def test_line_cut_loses_only_what_was_not_out():
-    line = OutgoingLine()
+    line = Wire()
     line.write(b"abcdef", 0)
     line.cut(line_ns(3))
     line.write(b"xyz", line_ns(4))
