@@ -126,8 +126,7 @@ class CarSim:
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""
         self._move(now_ns)
-        for handler, message, arrival_ns in self._inbox.drain():
-            handler(message, arrival_ns)
+        self._inbox.dispatch()
         self._chip.step(now_ns)
         if self._chip.problem:
             self._warnings.warn("chip", f"the virtual servo board isn't followed: {self._chip.problem}")

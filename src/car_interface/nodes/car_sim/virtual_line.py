@@ -24,15 +24,14 @@ from car_interface.nodes.pca9685.virtual_board import serve_faults
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import peer
 from car_interface.sim.line import LASTING, MAX_S, NS_PER_S, BadLine
+from car_interface.sim.teensy_clock import NEVER_NS
 from car_interface.sim.teensy_sensors import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
 MAX_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
-NEVER_NS = 1 << 63
 END_WITHIN_S = 2.0  # a car_sim that is just being replaced by one of its name ends within this
 POLL_S = 0.1
-BACKLOG = 128
 
 
 class PseudoTerminal:
@@ -106,7 +105,7 @@ def claim_port(path: str, end_within_s: float = END_WITHIN_S) -> socket.socket:
     def has_bound():
         try:
             claim.bind(name)
-            claim.listen(BACKLOG)
+            claim.listen()
         except OSError:  # EADDRINUSE
             return False
         return True
