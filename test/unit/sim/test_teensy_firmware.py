@@ -74,6 +74,15 @@ def test_line_cut_loses_only_what_was_not_out():
     assert line.collect(line_ns(8)) == b"yz"
 
 
+def test_bytes_arrive_after_they_were_sent_however_late_those_before_are_taken():
+    line = Wire()
+    line.write(b"ab", 0)
+    line.write(b"c", line_ns(1))
+    line.write(b"d", line_ns(100))
+    assert line.collect(line_ns(3) + 1) == b"abc" and line.backlog == 1
+    assert line.next_ns == line_ns(100) + line_ns(1)
+
+
 # Each pair is a hall state (pulses modulo 4 of a Gray code 0 1 3 2) and what the first pulses seem to be:
 # (direction, dist, dist_abs). The levels are never read at power-up, and an interrupt reads its own pin only.
 @pytest.mark.parametrize(("direction", "position", "seen"), [
