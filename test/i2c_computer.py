@@ -38,11 +38,11 @@ class Computer:
                 for address, chip in chips.items():
                     self.chips[address] = chip
 
-            def read_byte_data(self, address, register):
+            def read_i2c_block_data(self, address, register, length):
                 computer.asked.append((self.path, address, register))
                 if (self.path, address) in computer.taken:
                     raise OSError(errno.EBUSY, "Device or resource busy")
-                return super().read_byte_data(address, register)
+                return super().read_i2c_block_data(address, register, length)
 
             def close(self):
                 computer.open.discard(self.path)

@@ -33,9 +33,6 @@ class VirtualBus:
         """Read at most 32 registers, as smbus2."""
         return self._chip(address).read(register, _checked_length(length))
 
-    def write_byte_data(self, address: int, register: int, value: int) -> None:
-        self.write_i2c_block_data(address, register, [value])
-
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
         """Write at most 32 registers, as smbus2."""
         _checked_length(len(data))

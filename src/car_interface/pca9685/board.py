@@ -43,8 +43,8 @@ class Board:
     """One PCA9685.
 
     Args:
-        bus: has ``read_byte_data(address, register)``, ``write_byte_data(address, register, value)``,
-            ``read_i2c_block_data(address, register, length)`` and ``write_i2c_block_data(address, register, values)``.
+        bus: has ``read_i2c_block_data(address, register, length)`` and ``write_i2c_block_data(address, register,
+            values)``: on the wire a block of one is what a byte is.
         address: 7-bit I²C address, 0x40..0x7f.
         prescale: PRE_SCALE, 3..255.
         pause: called with seconds where the chip needs time.
@@ -145,7 +145,7 @@ class Board:
         self._held = [0] * CHANNELS
 
     def _read(self, register):
-        return self._bus.read_byte_data(self._address, register)
+        return self._bus.read_i2c_block_data(self._address, register, 1)[0]
 
     def _write(self, register, value):
-        self._bus.write_byte_data(self._address, register, value)
+        self._bus.write_i2c_block_data(self._address, register, [value])

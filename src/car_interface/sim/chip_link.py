@@ -48,7 +48,7 @@ def peer(connection: socket.socket) -> tuple[int, int]:
 class ChipLink:
     """One client of a chip; connected when it is first needed, and again after ``close``.
 
-    To a guard it is what ``pca9685.i2c_device.I2cDevice`` is.
+    To a guard it is what ``pca9685.i2c_device.I2cDevice`` is, and to a node's board what ``smbus2.SMBus`` is.
 
     Args:
         address: of the chip, 7 bits. A lock on this byte of ``lock_path`` is its node's.
@@ -111,6 +111,12 @@ class ChipLink:
 
     def write(self, register: int, values: bytes) -> None:
         self.transfer(WRITE, self._address, register, bytes(values))
+
+    def read_i2c_block_data(self, address: int, register: int, length: int) -> bytes:
+        return self.read(register, length)
+
+    def write_i2c_block_data(self, address: int, register: int, values: list) -> None:
+        self.write(register, values)
 
     def inject(self, fault: str, value: float) -> None:
         """Have the chip or its bus fail."""

@@ -25,7 +25,7 @@ class Bench:
     def __init__(self):
         self.chip = VirtualPca9685()
         self.log = []
-        self.reads = []  # (register, length) of each block
+        self.reads = []  # (register, length) of each
         self.transfers = []  # bytes on the wire of each write, address and register included
         self.works_for = None
         self._bus = VirtualBus({ADDRESS: self.chip},
@@ -35,18 +35,10 @@ class Bench:
     def another_board(self, prescale=PRESCALE_50_HZ):
         return Board(self, ADDRESS, prescale, lambda seconds: self.log.append(("pause", seconds)))
 
-    def read_byte_data(self, address, register):
-        self._count()
-        return self._bus.read_byte_data(address, register)
-
     def read_i2c_block_data(self, address, register, length):
         self._count()
         self.reads.append((register, length))
         return self._bus.read_i2c_block_data(address, register, length)
-
-    def write_byte_data(self, address, register, value):
-        self._note(register, [value])
-        self._bus.write_byte_data(address, register, value)
 
     def write_i2c_block_data(self, address, register, data):
         self._note(register, data)
@@ -156,7 +148,7 @@ def test_check_of_a_chip_that_holds_what_was_written_reads_what_is_on_and_four_o
     for _ in range(8):
         running.reads.clear()
         running.board.check()
-        assert sum(length for _, length in running.reads) == 4 * (2 + 4)
+        assert sum(length for _, length in running.reads) == 2 + 4 * (2 + 4)  # MODE1, PRE_SCALE, channels
     assert running.log == [] and running.board.held == [CENTER, *[0] * 6, 4096, *[0] * 8]
 
 

@@ -98,7 +98,7 @@ def test_pulse_comes_while_awake_and_after_sleep_once_restart_is_cleared(chip, w
 def test_bus_carries_address_register_and_data_of_each_write():
     writes = []
     bus = VirtualBus({ADDRESS: VirtualPca9685()}, on_write=lambda *write: writes.append(write))
-    bus.write_byte_data(ADDRESS, 0x00, 0x20)
+    bus.write_i2c_block_data(ADDRESS, 0x00, [0x20])
     bus.write_i2c_block_data(ADDRESS, 0x06, [0, 0, 0x3F, 0x01])
     assert writes == [(ADDRESS, 0x00, [0x20]), (ADDRESS, 0x06, [0, 0, 0x3F, 0x01])]
     assert bus.read_byte_data(ADDRESS, 0x00) == 0x20

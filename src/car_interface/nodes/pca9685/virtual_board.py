@@ -64,7 +64,7 @@ class VirtualBoardBus:
         self._process: subprocess.Popen | None = None
         serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
 
-    def open(self) -> VirtualSmbus:
+    def open(self) -> ChipLink:
         """Return the open bus.
 
         Raises:
@@ -80,7 +80,7 @@ class VirtualBoardBus:
             raise
         if self._log_path is not None:
             self._link.log_to(self._log_path)
-        return VirtualSmbus(self._link)
+        return self._link
 
     def _inject(self, fault, value):
         require(fault != "nack" or value >= 0, "nack", value, "how many transfers shall fail, at least 0")
@@ -110,25 +110,6 @@ class VirtualBoardBus:
         self._process = subprocess.Popen(
             small_process.command("sim.chip_server", self.path, str(self._address)), stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, cwd="/")
-
-
-class VirtualSmbus:
-    """The methods of ``smbus2.SMBus`` that the board uses, over a link to a chip."""
-
-    def __init__(self, link: ChipLink):
-        self._link, self.close = link, link.close
-
-    def read_byte_data(self, address, register):
-        return self._link.read(register, 1)[0]
-
-    def read_i2c_block_data(self, address, register, length):
-        return list(self._link.read(register, length))
-
-    def write_byte_data(self, address, register, value):
-        self._link.write(register, bytes((value,)))
-
-    def write_i2c_block_data(self, address, register, data):
-        self._link.write(register, bytes(data))
 
 
 def _check_log(path) -> None:
