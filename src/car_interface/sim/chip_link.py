@@ -107,10 +107,10 @@ class ChipLink:
         return error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENXIO)
 
     def read(self, register: int, length: int) -> bytes:
-        return self.transfer(READ, self._address, register, bytes((length,)))
+        return self.transfer(READ, register, bytes((length,)))
 
     def write(self, register: int, values: bytes) -> None:
-        self.transfer(WRITE, self._address, register, bytes(values))
+        self.transfer(WRITE, register, bytes(values))
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> bytes:
         return self.read(register, length)
@@ -120,15 +120,15 @@ class ChipLink:
 
     def inject(self, fault: str, value: float) -> None:
         """Have the chip or its bus fail."""
-        self.transfer(FAULT, self._address, FAULTS.index(fault), value=value)
+        self.transfer(FAULT, FAULTS.index(fault), value=value)
 
     def log_to(self, path: str) -> None:
         """Have each write to the chip, by any client, appended to a file."""
-        self.transfer(LOG, self._address, 0, os.fsencode(path))
+        self.transfer(LOG, 0, os.fsencode(path))
 
     def observe(self) -> int:
         """Have the pins' state sent, now and at each change; return the descriptor to wait for."""
-        self.transfer(OBSERVE, self._address, 0)
+        self.transfer(OBSERVE, 0)
         self._socket.setblocking(False)
         return self._socket.fileno()
 
@@ -150,14 +150,14 @@ class ChipLink:
                 raise OSError(errno.EPROTO, os.strerror(errno.EPROTO))
             found.append(OUTPUTS.unpack(packet))
 
-    def transfer(self, operation: int, address: int, register: int, data: bytes = b"", value: float = 0.0) -> bytes:
+    def transfer(self, operation: int, register: int, data: bytes = b"", value: float = 0.0) -> bytes:
         """Make a request and return the data of its answer.
 
         Raises:
             OSError: as of a real bus; ENXIO: the chip's process is gone.
         """
         try:
-            self._socket.send(REQUEST.pack(operation, address, register, value) + data)
+            self._socket.send(REQUEST.pack(operation, self._address, register, value) + data)
             answer = self._socket.recv(MAX_PACKET)
         except socket.timeout as error:
             raise OSError(errno.ETIMEDOUT, "Connection timed out") from error
