@@ -1,6 +1,6 @@
 """Locks bytes of a file by POSIX locks: the driver of a device holds one, and the kernel drops it when that dies.
 
-A device on a bus is locked by the byte of its address. Each of its guards locks a byte by its time of start, so that an
+A chip on a bus is locked by the byte of its address. Each of its guards locks a byte by its time of start, so that an
 older guard finds a newer one. A process loses its locks when it closes any of its descriptors of that file. Each of the
 functions raises OSError where the file can't be locked.
 """
@@ -31,11 +31,26 @@ def lock_holder(fd: int, offset: int, length: int = 1) -> int:
     return NOBODY if lock_type == fcntl.F_UNLCK else pid
 
 
-def lock_generation(fd: int, address: int, generation: int) -> None:
-    """Lock the byte of a generation, 0..MAX_GENERATION − 1, at an address above 0."""
-    lock_byte(fd, address * MAX_GENERATION + generation)
+class LockedChip:
+    """What the locks of a chip tell its guard; ``lock_fd`` returns the file that they are on.
 
+    Args:
+        address: of the chip, 7 bits and above 0. A lock on this byte is its node's.
+    """
 
-def newer_generation(fd: int, address: int, generation: int) -> int:
-    """Return a process that has locked a newer generation at an address, or ``NOBODY``."""
-    return lock_holder(fd, address * MAX_GENERATION + generation + 1, MAX_GENERATION - generation - 1)
+    def __init__(self, path: str, address: int):
+        self._path = path
+        self._address = address
+
+    def lock_holder(self) -> int:
+        """Return the process that has locked this chip, or ``NOBODY``."""
+        return lock_holder(self.lock_fd(), self._address)
+
+    def claim(self, generation: int) -> None:
+        """Show older guards of this chip that there is a newer one; generations are 0..MAX_GENERATION − 1."""
+        lock_byte(self.lock_fd(), self._address * MAX_GENERATION + generation)
+
+    def successor(self, generation: int) -> int:
+        """Return the process of a newer guard, or ``NOBODY``."""
+        first = self._address * MAX_GENERATION + generation + 1
+        return lock_holder(self.lock_fd(), first, MAX_GENERATION - generation - 1)

@@ -9,7 +9,7 @@ import os
 import struct
 from array import array
 
-from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
+from car_interface.common.file_lock import LockedChip
 
 I2C_SLAVE, I2C_SMBUS = 0x0703, 0x0720  # linux/i2c-dev.h
 _WRITE, _READ = 0, 1  # linux/i2c.h
@@ -18,16 +18,11 @@ _REQUEST = struct.Struct("BBIP")  # struct i2c_smbus_ioctl_data: direction, regi
 _DATA_SIZE = 34  # union i2c_smbus_data: a length, up to 32 bytes, and one more
 
 
-class I2cDevice:
-    """A chip on a bus; opened when it is first needed, and again after ``close``.
-
-    Args:
-        address: of the chip, 7 bits. A lock on this byte of the bus's file is its node's.
-    """
+class I2cDevice(LockedChip):
+    """A chip on a bus; opened when it is first needed, and again after ``close``. Its locks are on the bus's file."""
 
     def __init__(self, path: str, address: int):
-        self._path = path
-        self._address = address
+        super().__init__(path, address)
         self._fd = -1
 
     def open(self) -> None:
@@ -50,17 +45,8 @@ class I2cDevice:
             os.close(self._fd)
             self._fd = -1
 
-    def lock_holder(self) -> int:
-        """Return the process that has locked this chip; 0 = none."""
-        return lock_holder(self._fd, self._address)
-
-    def claim(self, generation: int) -> None:
-        """Show older guards of this chip that there is a newer one."""
-        lock_generation(self._fd, self._address, generation)
-
-    def successor(self, generation: int) -> int:
-        """Return the process of a newer guard; 0 = none."""
-        return newer_generation(self._fd, self._address, generation)
+    def lock_fd(self) -> int:
+        return self._fd
 
     def is_gone(self, error: OSError) -> bool:
         """Return whether an error means that the chip is gone for good: never, as a bus on USB may come back."""

@@ -12,7 +12,7 @@ import os
 import socket
 import struct
 
-from car_interface.common.file_lock import lock_generation, lock_holder, newer_generation
+from car_interface.common.file_lock import LockedChip
 from car_interface.common.own_files import check_owner, check_socket, open_own
 
 READ, WRITE, FAULT, LOG, OBSERVE = range(5)  # operations
@@ -45,18 +45,15 @@ def peer(connection: socket.socket) -> tuple[int, int]:
     return PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER.size))[:2]
 
 
-class ChipLink:
+class ChipLink(LockedChip):
     """One client of a chip; connected when it is first needed, and again after ``close``.
 
     To a guard it is what ``pca9685.i2c_device.I2cDevice`` is, and to a node's board what ``smbus2.SMBus`` is.
-
-    Args:
-        address: of the chip, 7 bits. A lock on this byte of ``lock_path`` is its node's.
+    Its locks are on ``lock_path``.
     """
 
     def __init__(self, path: str, address: int):
-        self._path = path
-        self._address = address
+        super().__init__(path, address)
         self._socket = None
         self._lock_fd = -1
 
@@ -88,19 +85,10 @@ class ChipLink:
             self._lock_fd = -1
 
     def lock_fd(self) -> int:
-        """Return the descriptor on which a node takes its lock, opened at the first call: see ``file_lock``."""
+        """Return the descriptor of the file for locks, opened at the first call."""
         if self._lock_fd < 0:
             self._lock_fd = open_lock(self._path)
         return self._lock_fd
-
-    def lock_holder(self) -> int:
-        return lock_holder(self.lock_fd(), self._address)
-
-    def claim(self, generation: int) -> None:
-        lock_generation(self.lock_fd(), self._address, generation)
-
-    def successor(self, generation: int) -> int:
-        return newer_generation(self.lock_fd(), self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
         """Return whether an error means that the chip's process has ended, and with it the chip."""

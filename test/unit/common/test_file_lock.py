@@ -5,17 +5,23 @@ import sys
 
 import pytest
 
-from car_interface.common.file_lock import NOBODY, lock_byte, lock_generation, lock_holder, newer_generation
+from car_interface.common.file_lock import NOBODY, LockedChip, lock_byte, lock_holder
 
 HOLD = """
 import os, sys
-from car_interface.common.file_lock import lock_byte, lock_generation
+from car_interface.common.file_lock import MAX_GENERATION, lock_byte
 fd = os.open(sys.argv[1], os.O_RDWR)
 lock_byte(fd, int(sys.argv[2]))
-lock_generation(fd, int(sys.argv[2]), 5000)
+lock_byte(fd, int(sys.argv[2]) * MAX_GENERATION + 5000)
 print("locked", flush=True)
 sys.stdin.read()
 """
+
+
+class Chip(LockedChip):
+    def __init__(self, fd, address=64):
+        super().__init__("", address)
+        self.lock_fd = lambda: fd
 
 
 @pytest.fixture
@@ -44,17 +50,18 @@ def test_holder_is_another_process_that_has_locked_just_that_byte(fd, holder):
 
 
 def test_lock_of_a_process_that_died_is_gone_and_its_own_doesn_t_count(fd, holder):
-    lock_generation(fd, 64, 5001)
+    Chip(fd).claim(5001)
     holder.kill()
     holder.wait()
-    assert lock_holder(fd, 64) == newer_generation(fd, 64, 0) == NOBODY
+    assert Chip(fd).lock_holder() == Chip(fd).successor(0) == NOBODY
     lock_byte(fd, 64)
 
 
 def test_older_generation_finds_the_newer_one_of_its_address_but_not_itself(fd, holder):
-    assert newer_generation(fd, 64, 4999) == newer_generation(fd, 64, 0) == holder.pid
-    assert newer_generation(fd, 64, 5000) == newer_generation(fd, 64, 5001) == NOBODY
-    assert newer_generation(fd, 63, 0) == newer_generation(fd, 65, 0) == NOBODY
-    lock_generation(fd, 64, 5001)
-    lock_generation(fd, 64, 5001)
-    assert newer_generation(fd, 64, 4000) == holder.pid
+    chip = Chip(fd)
+    assert chip.successor(4999) == chip.successor(0) == chip.lock_holder() == holder.pid
+    assert chip.successor(5000) == chip.successor(5001) == NOBODY
+    assert Chip(fd, 63).successor(0) == Chip(fd, 65).successor(0) == NOBODY
+    chip.claim(5001)
+    chip.claim(5001)
+    assert chip.successor(4000) == holder.pid

@@ -16,13 +16,13 @@ ADDRESS = 0x41
 REQUEST = struct.Struct("BBIP")  # struct i2c_smbus_ioctl_data, with the padding of C
 HOLD = """
 import os, sys
-from car_interface.common.file_lock import lock_byte, lock_generation, newer_generation
+from car_interface.common.file_lock import MAX_GENERATION, lock_byte, lock_holder
 fd = os.open(sys.argv[1], os.O_RDWR)
 lock_byte(fd, 0x41)
-lock_generation(fd, 0x41, 5000)
+lock_byte(fd, 0x41 * MAX_GENERATION + 5000)
 print("locked", flush=True)
 sys.stdin.readline()
-print(newer_generation(fd, 0x41, 5999))
+print(lock_holder(fd, 0x41 * MAX_GENERATION + 6000))
 """
 
 
