@@ -44,7 +44,7 @@ class Board:
 
     Args:
         bus: has ``read_i2c_block_data(address, register, length)`` and ``write_i2c_block_data(address, register,
-            values)``: on the wire a block of one is what a byte is.
+            values)``, and ``close``. On the wire a block of one is what a byte is.
         address: 7-bit I²C address, 0x40..0x7f.
         prescale: PRE_SCALE, 3..255.
         pause: called with seconds where the chip needs time.
@@ -143,6 +143,10 @@ class Board:
         self._held = [None] * CHANNELS  # until the transfer is known to have worked
         self._write(ALL_LED_OFF_H, FULL_BIT)
         self._held = [0] * CHANNELS
+
+    def close(self) -> None:
+        """Close the bus; the chip continues with its registers."""
+        self._bus.close()
 
     def _read(self, register):
         return self._bus.read_i2c_block_data(self._address, register, 1)[0]

@@ -29,8 +29,7 @@ class BoardSupervisor:
     """Opens, writes, checks and reopens bus and chip.
 
     Args:
-        open_bus: opens the bus and returns it, which has ``close``; raises OSError. Called again after a failure.
-        make_board: from an open bus to the chip on it.
+        open_board: opens the bus and returns the chip on it; raises OSError. Called again after a failure.
         on_event: called with one of the events above and the OSError or None, at each attempt.
 
     Attributes:
@@ -41,13 +40,10 @@ class BoardSupervisor:
         foreign_writes: checks that found channels which another program had written.
     """
 
-    def __init__(self, open_bus: Callable, make_board: Callable[..., Board],
-                 on_event: Callable[[str, Exception | None], None]):
+    def __init__(self, open_board: Callable[[], Board], on_event: Callable[[str, Exception | None], None]):
         self.errors = self.reopenings = self.reinitialisations = self.foreign_writes = 0
-        self._open_bus = open_bus
-        self._make_board = make_board
+        self._open_board = open_board
         self._on_event = on_event
-        self._bus = None
         self._board: Board | None = None
         self.ever_ran = False
         self._retry_ns = FIRST_RETRY_NS
@@ -89,12 +85,10 @@ class BoardSupervisor:
             OSError: it failed; BoardMismatch when the chip doesn't read back as written.
         """
         try:
-            self._bus = self._open_bus()
-            board = self._make_board(self._bus)
-            board.initialise()
-            self._board = board
+            self._board = self._open_board()
+            self._board.initialise()
             self._on_event(FOUND, None)
-            board.write(differences(board.held, targets()))
+            self._board.write(differences(self._board.held, targets()))
         except OSError:
             self.errors += 1
             self.close()
@@ -171,7 +165,6 @@ class BoardSupervisor:
 
     def close(self) -> None:
         """Close the bus; the chip continues with its registers."""
-        self._board = None
-        if self._bus is not None:
-            self._bus.close()
-            self._bus = None
+        if self._board is not None:
+            self._board.close()
+            self._board = None

@@ -29,20 +29,16 @@ class Bench:
         self.now_ns = NOW
 
     def another_supervisor(self):
-        return BoardSupervisor(self._open, self._board, lambda event, error: self.on_event(event))
+        return BoardSupervisor(self._open, lambda event, error: self.on_event(event))
 
     def _open(self):
         if self.open_error is not None:
             raise self.open_error
         self.opened += 1
-        return self.bus
+        return Board(self.bus, ADDRESS, 121, lambda seconds: None)
 
     def _close(self):
         self.closed += 1
-
-    @staticmethod
-    def _board(bus):
-        return Board(bus, ADDRESS, 121, lambda seconds: None)
 
     def update(self, targets, after_ms=0):
         self.now_ns += after_ms * MS

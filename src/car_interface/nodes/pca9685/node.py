@@ -141,9 +141,7 @@ class Pca9685:
                                self._outputs.resolved_name)
         self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name,
                                 self._warnings, inbox.clocks)
-        self._supervisor = BoardSupervisor(
-            self._open_bus, lambda bus: Board(bus, config.address, config.prescale, self._clocks.sleep),
-            self._on_board_event)
+        self._supervisor = BoardSupervisor(self._open_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
@@ -193,12 +191,12 @@ class Pca9685:
         self._guard.step(self._clocks.now_ns(), self._channels.timeout_counts, self._supervisor.ever_ran,
                          can_start=bool(self._bus.path))
 
-    def _open_bus(self):
+    def _open_board(self):
         was_known = self._bus.path
         bus = self._bus.open()
         if not was_known:
             self._step_guard()  # before anything is written to the chip
-        return bus
+        return Board(bus, self._address, self._prescale, self._clocks.sleep)
 
     def _begin_anew(self, still_ns):
         """Go to the timeout values, and obey no command that was sent before."""
