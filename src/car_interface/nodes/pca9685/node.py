@@ -292,8 +292,8 @@ class Pca9685:
                                              f"its timeout value is {self._channels.timeout_values[channel]}: too far "
                                              "to follow. Start both nodes with the same YAML file")
         if changed:
-            self._warnings.warn("followed", f"the timeout value of {listed(sorted(changed))} follows servo/neutral, away "
-                                            "from the YAML file's. To save it: ~save of the node that was tuned")
+            self._warnings.warn("followed", f"the timeout value of {listed(sorted(changed))} follows servo/neutral, "
+                                            "away from the YAML file's. To save it: ~save of the node that was tuned")
 
     def _update(self):
         self._supervisor.update(self._targets, self._clocks.now_ns())
