@@ -165,6 +165,6 @@ class BoardSupervisor:
 
     def close(self) -> None:
         """Close the bus; the chip continues with its registers."""
-        if self._board is not None:
-            self._board.close()
-            self._board = None
+        board, self._board = self._board, None
+        if board is not None:
+            board.close()
