@@ -66,7 +66,7 @@ class LinkHealth:
         self._baud = baud
         self._samples: deque = deque(maxlen=WINDOW + 1)  # (ns, counts)
         self._doubted = False  # the span before this one contradicted the verdict
-        self._reboot: str | None = None
+        self._reboot: Verdict | None = None  # of the newest one
         self._reboot_ns = 0
         self.verdict = Verdict(ABSENT, ERROR, "the port was not opened yet", "")
 
@@ -84,9 +84,12 @@ class LinkHealth:
 
     def rebooted(self, description: str, now_ns: int) -> None:
         """Take note that the Teensy's clock went back; ``description`` names both readings."""
-        self._reboot, self._reboot_ns = description, now_ns
+        self._reboot_ns = now_ns
+        self._reboot = Verdict(
+            REBOOTED, WARN, f"the Teensy rebooted: {description}",
+            "Check its power supply; its odometers began at 0 and its sonars' order and wait are the firmware's again")
         if self.verdict.state == FINE:
-            self.verdict = self._reboot_verdict()
+            self.verdict = self._reboot
 
     def judge(self, counts: Counts, now_ns: int) -> Verdict:
         """Return the verdict by the present counters. A call too soon after the one before changes nothing."""
@@ -131,7 +134,7 @@ class LinkHealth:
                            "Check ground, length and plugs of the serial cable, and that no other program reads the "
                            "port: fuser -v on it")
         if self._reboot is not None and now_ns - self._reboot_ns < REPORT_REBOOT_NS:
-            return self._reboot_verdict()
+            return self._reboot
         return Verdict(FINE, OK, f"fine: {records / span_s:.0f} frames a second", "")
 
     def _no_frames(self, bytes_in, per_s, bad_checksums) -> Verdict:
@@ -150,11 +153,6 @@ class LinkHealth:
         (_, oldest), (_, newest) = self._samples[0], self._samples[-1]
         bad = newest.bad_frames - oldest.bad_frames
         return bad / max(1, bad + newest.records - oldest.records), bad
-
-    def _reboot_verdict(self) -> Verdict:
-        return Verdict(REBOOTED, WARN, f"the Teensy rebooted: {self._reboot}",
-                       "Check its power supply; its odometers began at 0 and its sonars' order and wait are the "
-                       "firmware's again")
 
 
 def with_sonars(verdict: Verdict, description: str, next_step: str) -> Verdict:
