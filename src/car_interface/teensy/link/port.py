@@ -28,7 +28,6 @@ from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSIO
 
 READ_SIZE = 4096
 WRITE_WITHIN_MS = 500  # 5.8 kB at 115200 baud: more than the driver's buffer of 4 kB
-SEARCHED_EVERY = 5  # refusals of a busy port: every 10 s at 2 s between attempts, as there may be many processes
 
 
 class PortError(DeviceError):
@@ -46,8 +45,6 @@ class SerialLink:
         self._path = port
         self._baud = baud
         self._serial = None  # pyserial's, while it's open
-        self._refusals = 0  # of a busy port, since it was last opened
-        self._holders = []
 
     @property
     def is_open(self) -> bool:
@@ -75,7 +72,6 @@ class SerialLink:
         except (OSError, ValueError, termios.error) as error:
             self.close()
             raise PortError(self._path, *self._explain(error)) from error
-        self._refusals = 0
 
     def read(self) -> bytes:
         """Return what has arrived, up to 4 KiB; may be empty.
@@ -147,10 +143,7 @@ class SerialLink:
         return FAILING, f"it can't be opened ({error})", "Check ~port and ~baud"
 
     def _explain_busy(self):
-        if self._refusals % SEARCHED_EVERY == 0:
-            self._holders = _holders(self._path)
-        self._refusals += 1
-        names = ", ".join(f"{name} (process {pid})" for pid, name in self._holders)
+        names = ", ".join(f"{name} (process {pid})" for pid, name in _holders(self._path))
         cause = "another program has it open" + (f": {names}" if names else "")
         if "ModemManager" in names:
             return cause, f"It tries every new port; this keeps it off: {SETUP_COMMAND}"

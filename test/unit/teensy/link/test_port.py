@@ -221,24 +221,6 @@ def test_locks_of_processes_that_proc_does_not_number_have_no_owner(terminal, mo
     assert port._lock_owners(status) == [1, 7]
 
 
-def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, lock_port, monkeypatch):
-    link = SerialLink(terminal.path, 115200)
-    searched = []
-    monkeypatch.setattr("car_interface.teensy.link.port._holders", lambda path: searched.append(path) or [(1, "other")])
-
-    def refused():
-        with pytest.raises(DeviceError, match=r"another program has it open: other \(process 1\)"):
-            link.open()
-        return len(searched)
-    process = lock_port()
-    assert [refused() for _ in range(11)] == [1] * 5 + [2] * 5 + [3]
-    process.communicate()
-    link.open()
-    link.close()
-    lock_port()
-    assert refused() == 4
-
-
 def test_port_that_fails_while_it_is_set_up_is_left_to_others(terminal, monkeypatch):
     set_attributes = termios.tcsetattr
 
