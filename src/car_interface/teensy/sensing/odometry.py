@@ -242,8 +242,8 @@ class Odometry:
                 left.first_pulses = right.first_pulses = None
                 variance = ((UNALIGNED_PULSES if has_jumped else ALIGNED_PULSES) * self._rad_per_pulse) ** 2
                 heading.begin(self._measured_yaw_rad(), variance)
-                before_rad = 0.0 if has_jumped else heading.yaw_rad
-                pose.set_yaw(before_rad, variance)
+                before_rad = pose.yaw_rad = 0.0 if has_jumped else heading.yaw_rad
+                pose.add_variance(0.0, variance)
         turned_rad = heading.yaw_rad - before_rad
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)

@@ -139,11 +139,6 @@ class Pose:
         self._mean, self._norm, self._square, self._by_yaw = 0j, 0.0, 0j, 0j
         self._turned, self._turned_back = 0j, 0j
 
-    def set_yaw(self, yaw_rad: float, variance: float) -> None:
-        """Set the heading, which has become known with this variance."""
-        self.yaw_rad = yaw_rad
-        self.add_variance(0.0, variance)
-
     def add_variance(self, along_variance: float, heading_variance: float, across_variance: float = 0.0,
                      both_covariance: float = 0.0) -> None:
         """Add variance: m² along and across the heading and of both, rad² of the heading."""

@@ -35,7 +35,7 @@ def test_sigma_of_the_distance_grows_with_its_root_however_it_is_divided(steps):
 
 def test_uncertain_heading_makes_a_long_straight_uncertain_sideways():
     pose = Pose(0.0, 0.0)
-    pose.set_yaw(0.0, 0.01 ** 2)
+    pose.add_variance(0.0, 0.01 ** 2)
     pose.move(10.0, 0.0)
     (xx, xy, xa), (yx, yy, ya), (ax, ay, aa) = pose.covariance(0.0, 0.0)
     assert (yy, aa, ya) == pytest.approx((0.1 ** 2, 0.01 ** 2, 0.1 * 0.01), rel=1e-3) and xx < 0.001 ** 2
@@ -99,7 +99,7 @@ def test_way_that_is_off_by_as_much_as_the_heading_shows_leads_aside_on_what_fol
 
 def test_variance_along_the_heading_turns_with_it():
     pose = Pose(0.0, 0.0)
-    pose.set_yaw(math.pi / 2, 0.0)
+    pose.yaw_rad = math.pi / 2
     pose.add_variance(0.04, 0.01)
     (xx, _, _), (_, yy, _), (_, _, aa) = pose.covariance(0.0, 0.0)
     assert (xx, yy, aa) == pytest.approx((0.0, 0.04, 0.01))
