@@ -145,7 +145,6 @@ class Measurements:
         if self.clock.newest is None:
             if newest is None:
                 return None
-            self._update_tick(verdict, newest, received_ns)
             self.clock.update_tick(newest, received_ns, WHEEL_BYTES)
         if verdict.boot_tick is not None:
             self._restart_clock(verdict.boot_tick, received_ns)
@@ -179,7 +178,7 @@ class Measurements:
         return Stamp(time_ns, uncertainty_ns)
 
     def _update_tick(self, verdict, tick, received_ns):
-        """Continue the odometry's time when the Teensy's clock restarts; the first tick starts both."""
+        """Continue the odometry's time when the Teensy's clock restarts."""
         if verdict.restarted and self.clock.newest is not None:
             self._restart_clock(tick, received_ns)
 
