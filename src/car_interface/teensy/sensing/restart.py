@@ -251,8 +251,7 @@ class RestartBridge:
         return min(pulses[0][1] for pulses in self._pulses if pulses)
 
     def _blind_ms(self):
-        seen_ms = self._first_ms() if self._seen_ms is None else self._seen_ms
-        return max(0.0, seen_ms - self._at_ms)
+        return max(0.0, self._seen_ms - self._at_ms)
 
     def _mean_before(self):
         return sum(wheel.speed for wheel in self._wheels) / 2
@@ -266,8 +265,6 @@ class RestartBridge:
 
     def _was_rolling(self):
         """Return whether the car rolled when pulses were counted again; else it started later."""
-        if self._seen_ms is None:
-            return True
         if self._is_late and abs(self._mean_before()) <= ROLLING_PER_MS:
             return False  # it stood, and most of the time was after the boot
         for pulses in self._pulses:
