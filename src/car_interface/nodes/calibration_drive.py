@@ -32,7 +32,7 @@ import textwrap
 from functools import partial
 
 import rospy
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from geometry_msgs.msg import Point, Pose, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Empty, Float32, Header, Int32MultiArray, String
@@ -43,6 +43,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.bag_recording import TOPICS, BagRecording
+from car_interface.nodes.car_display import NO_ROTATION, marker
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
@@ -364,9 +365,8 @@ def drive_markers(odom_frame, base_frame, start, path, radius_m, points, text) -
             for side, table in points.items() for point in table]
     markers += [_line("known", index, base_frame, COLORS[terminal.mark(point)], _arc(turn_m))
                 for index, (point, turn_m) in enumerate(arcs) if point.radius_m <= WIDEST_M]
-    label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
-    label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
-    label.text = textwrap.fill(text, TEXT_COLUMNS)
+    label = marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M),
+                   Pose(Point(-BEHIND_M, 0.0, ABOVE_M), NO_ROTATION), text=textwrap.fill(text, TEXT_COLUMNS))
     return MarkerArray([*markers, label])
 
 
@@ -383,16 +383,8 @@ def _arc(radius_m):
 
 
 def _line(ns, index, frame, color, points, width_m=LINE_M):
-    marker = _marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0))
-    marker.points = [Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points]
-    return marker
-
-
-def _marker(ns, index, frame, kind, color, scale):
-    # A stamp of 0: where the frame is now.
-    return Marker(
-        header=Header(frame_id=frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
-        pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)
+    return marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0),
+                  points=[Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points])
 
 
 def main():

@@ -112,15 +112,16 @@ class CarDisplay:
         middle_m, height_m = self._wheelbase_m / 2, 0.8 * self._wheel_m
         low = Vector3(length_m, self._track_m - TIRE_WIDTH_M, height_m)
         high = Vector3(0.45 * length_m, 0.75 * low.y, 0.7 * height_m)
-        return [self._marker("body", 0, Marker.CUBE, BODY, low, _at(middle_m, 0.0, CLEARANCE_M + height_m / 2)),
-                self._marker("body", 1, Marker.CUBE, CABIN, high,
-                             _at(middle_m - 0.1 * length_m, 0.0, CLEARANCE_M + height_m + high.z / 2))]
+        return [marker("body", 0, self._base_frame, Marker.CUBE, BODY, low,
+                       _at(middle_m, 0.0, CLEARANCE_M + height_m / 2)),
+                marker("body", 1, self._base_frame, Marker.CUBE, CABIN, high,
+                       _at(middle_m - 0.1 * length_m, 0.0, CLEARANCE_M + height_m + high.z / 2))]
 
     def _wheels(self, curvature_per_m):
         """Draw four cylinders on their sides, the front ones perpendicular to the line to the turning center."""
         size = Vector3(self._wheel_m, self._wheel_m, TIRE_WIDTH_M)
         places = [(x_m, y_m) for x_m in (0.0, self._wheelbase_m) for y_m in (self._track_m / 2, -self._track_m / 2)]
-        return [self._marker("wheels", index, Marker.CYLINDER, TIRE, size, _at(
+        return [marker("wheels", index, self._base_frame, Marker.CYLINDER, TIRE, size, _at(
                     x_m, y_m, self._wheel_m / 2, _lying(math.atan2(curvature_per_m * x_m, 1 - curvature_per_m * y_m))))
                 for index, (x_m, y_m) in enumerate(places)]
 
@@ -129,9 +130,9 @@ class CarDisplay:
         path = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
         points, (x_m, y_m, heading_rad) = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in path], path[-1]
         tip = Point(x_m + ARROW_HEAD_M * math.cos(heading_rad), y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)
-        return [self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0), points=points),
-                self._marker("steering", 1, Marker.ARROW, ARROW, Vector3(0.001, 0.12, ARROW_HEAD_M),
-                             points=[points[-1], tip])]
+        width, head = Vector3(2 * LINE_M, 0.0, 0.0), Vector3(0.001, 0.12, ARROW_HEAD_M)
+        return [marker("steering", 0, self._base_frame, Marker.LINE_STRIP, ARROW, width, points=points),
+                marker("steering", 1, self._base_frame, Marker.ARROW, ARROW, head, points=[points[-1], tip])]
 
     def _words(self, steering, throttle):
         """Write who steers and who drives behind the car."""
@@ -143,8 +144,8 @@ class CarDisplay:
             lines.append(f"drives: {source_name(throttle.source)}, {speed}throttle {throttle.granted:.2f}")
         if not lines:
             return self._nothing("words", 0)
-        return self._marker("words", 0, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
-                            _at(-BEHIND_M, 0.0, ABOVE_M), text="\n".join(lines))
+        return marker("words", 0, self._base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
+                      _at(-BEHIND_M, 0.0, ABOVE_M), text="\n".join(lines))
 
     def _fan(self, index, measured):
         """Draw what a sonar looked at: up to its echo or, without one, up to its range."""
@@ -153,23 +154,23 @@ class CarDisplay:
             return self._nothing("sonars", index)
         angles = [measured.field_of_view * (step / FAN_STEPS - 0.5) for step in range(FAN_STEPS + 1)]
         edge = [Point(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
-        return self._marker("sonars", index, Marker.TRIANGLE_LIST,
-                            ECHO if measured.range < measured.max_range else NO_ECHO, Vector3(1.0, 1.0, 1.0),
-                            frame=measured.header.frame_id,
-                            points=[corner for sides in zip(edge, edge[1:]) for corner in (Point(), *sides)])
+        return marker("sonars", index, measured.header.frame_id or self._base_frame, Marker.TRIANGLE_LIST,
+                      ECHO if measured.range < measured.max_range else NO_ECHO, Vector3(1.0, 1.0, 1.0),
+                      points=[corner for sides in zip(edge, edge[1:]) for corner in (Point(), *sides)])
 
     def _nothing(self, ns, index):
         return Marker(header=Header(frame_id=self._base_frame), ns=ns, id=index, action=Marker.DELETE)
 
     def _trail_marker(self):
         action = Marker.DELETE if len(self._trail) < 2 else Marker.ADD  # rviz reports such a line as an error
-        return self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
-                            frame=self._odom_frame, action=action, points=list(self._trail))
+        return marker("trail", 0, self._odom_frame, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
+                      action=action, points=list(self._trail))
 
-    def _marker(self, ns, index, kind, color, scale, pose=None, frame=None, action=Marker.ADD, **content):
-        header = Header(frame_id=frame or self._base_frame)  # with no time: where the frame is now
-        return Marker(header=header, ns=ns, id=index, type=kind, action=action, pose=pose or _at(0.0, 0.0, 0.0),
-                      scale=scale, color=color, frame_locked=True, **content)
+
+def marker(ns, index, frame, kind, color, scale, pose=None, action=Marker.ADD, **content) -> Marker:
+    """Return a marker without a time: it is where its frame is now."""
+    return Marker(header=Header(frame_id=frame), ns=ns, id=index, type=kind, action=action, scale=scale, color=color,
+                  pose=pose or _at(0.0, 0.0, 0.0), frame_locked=True, **content)
 
 
 def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
