@@ -66,7 +66,6 @@ class Choice(NamedTuple):
     ideal: float = 0.0
     score: float = 0.0
     length_m: float = -math.inf  # how long it could be measured, negative where it wouldn't even settle
-    side: int | None = None  # the tight turn with which it is to end; ``None`` = there is no room
 
 
 class Choices:
@@ -106,7 +105,7 @@ class Choices:
         choices = [self._from_here(self._ideal(candidate, 0.0, now_ns), (0.0, 0.0), now_ns) for candidate in missing]
         best = max(choices, key=lambda choice: choice.score, default=None)
         if best is not None and best.score:
-            return best._replace(is_turn=True, need=MISSING_NEED, side=None)
+            return best._replace(is_turn=True, need=MISSING_NEED)
         other = self.tight(side, self._survey.motion.pose, now_ns, LITTLE_NEED) if held.is_noted else None
         return None if other is None or other.duty == held.duty else self.turn(other, side, now_ns)
 
@@ -158,11 +157,11 @@ class Choices:
         lengths_m = [min(rooms) - settle_m for rooms in zip(*rooms_m)]
         least_m = MIN_LENGTH_M if abs(curvature) < BEND_PER_M else MIN_BEND_M
         best = ideal._replace(length_m=max(lengths_m))
-        for side, (length_m, turn_worth) in enumerate(zip(lengths_m, turns_worth)):
+        for length_m, turn_worth in zip(lengths_m, turns_worth):
             if length_m >= least_m:
                 known = min(1.0, length_m / want_m) ** LENGTH_POWER
                 score = (ideal.worth * known + turn_worth) / (settle_s + length_m / speed_mps + TURN_S)
-                best = max(best, ideal._replace(score=score, length_m=length_m, side=side), key=lambda one: one.score)
+                best = max(best, ideal._replace(score=score, length_m=length_m), key=lambda one: one.score)
         return best
 
     def _hold_for(self, candidate, now_ns):
@@ -236,7 +235,6 @@ class Pilot:
         self._stood_m = 0.0  # since then
         self._is_quick = False  # the turn
         self._was_paused = False
-        self._is_side_free = False  # the turn with which it is to end stayed inside a step ago
         self._lost = LostTurns()
 
     def pause(self) -> None:
@@ -295,8 +293,6 @@ class Pilot:
         is_tightest = choice.is_turn and hold.duty in self._ends and self._turned_rad < TURNED_RAD
         if not is_tightest and self._is_cut_off(now_ns):
             self._turn(now_ns, tightest=choice.is_turn)
-        elif self._misses_turn(now_ns):
-            self._turn(now_ns, choice.side)
         elif not choice.is_turn:
             if hold.length_m >= choice.want_m:
                 self._begin_any(now_ns)
@@ -322,15 +318,6 @@ class Pilot:
         if sought < 1:
             self._turn(now_ns, lost if is_free else 1 - lost, tightest=not is_free)
         return True
-
-    def _misses_turn(self, now_ns):
-        """Return whether the turn with which it is to end would leave the area from now on."""
-        look, side, was_free = self.outlook, self._choice.side, self._is_side_free
-        if side is None:
-            return False
-        self._is_side_free = look.ways_out(self._hold, now_ns)[side].excess_m <= 0
-        return (was_free and not self._is_side_free and self._hold.length_m >= KEPT_LENGTH_M
-                and look.sonar_mps(look.turns_per_m()[side], now_ns) >= FREE_MPS)
 
     def _is_cut_off(self, now_ns):
         """Return whether the arc ends here: by the area, or by a sonar."""
@@ -384,7 +371,7 @@ class Pilot:
         best = None if tightest else self._choices.tight(side, pose, now_ns)
         best = best or Candidate(self._ends[side], 0.0, 0)
         if self._hold is not None and self._hold.duty == best.duty:
-            self._choice = self._choice._replace(is_turn=True, side=None)
+            self._choice = self._choice._replace(is_turn=True)
         else:
             self._begin(self._choices.turn(best, side, now_ns), now_ns)
 
@@ -412,7 +399,7 @@ class Pilot:
         self._note_hold()
         if not (choice.is_turn and self._choice is not None and self._choice.is_turn):
             self._turned_rad = 0.0
-        self._hold, self._choice, self._chosen_ns, self._is_side_free = choice.hold, choice, now_ns, False
+        self._hold, self._choice, self._chosen_ns = choice.hold, choice, now_ns
         if self._was_paused:
             # Meanwhile the servo went elsewhere, and the fit doesn't know at which side of its backlash the linkage
             # lies until the servo has moved once more: what is held first shows nothing.
