@@ -5,14 +5,12 @@ A pose is that of the middle of the rear axle, in odometry's frame; curvatures a
 from __future__ import annotations
 
 import cmath
-import itertools
 import math
 from typing import NamedTuple, Sequence
 
 from car_interface.throttle.obstacle_stop import Outline
 
 SLASH = Outline()
-INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
 
 
 class Pose(NamedTuple):
@@ -35,7 +33,6 @@ class WayOut(NamedTuple):
 
     extent_m: float  # how far the car's corners get from the center
     excess_m: float  # by how much it leaves the area, also where it stops when it is let go on it: straight on
-    circle_excess_m: float  # the same on its whole circle
 
 
 def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
@@ -88,25 +85,6 @@ class Area:
         """Return how far the same corner is from the middle of the arc."""
         return math.hypot(1 / abs(curvature_per_m) + self._half_m, self._front_m + stop_m)
 
-    def turn_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
-        """Return the same on a tight turn from here until the car looks inward again."""
-        whole_m = self.circle_extent_m(pose, curvature_per_m, stop_m)
-        if whole_m <= self.radius_m:
-            return whole_m
-        # In the car's frame, and a right turn mirrored: every corner moves on a circle around the turn's center.
-        turn_m, rel = 1 / abs(curvature_per_m), self._seen_from(pose)
-        middle = (rel if curvature_per_m > 0 else rel.conjugate()) + 1j * turn_m
-        middle_m, middle_rad = abs(middle), cmath.phase(middle)
-        until_rad = _inward_after_rad(turn_m / max(middle_m, 1e-9), middle_rad)
-        farthest_m = 0.0
-        ahead_m, left_m = (self._front_m + stop_m, -self._rear_m), (self._half_m, -self._half_m)
-        for corner in (complex(ahead, left - turn_m) for ahead, left in itertools.product(ahead_m, left_m)):
-            if (middle_rad - cmath.phase(corner)) % (2 * math.pi) <= until_rad:
-                farthest_m = max(farthest_m, middle_m + abs(corner))
-            else:
-                farthest_m = max(farthest_m, abs(middle + corner), abs(middle + corner * cmath.rect(1.0, until_rad)))
-        return farthest_m
-
     def _seen_from(self, pose):
         """Return the car's place relative to the center in the car's frame: ahead, and to the left as the imaginary
         part.
@@ -121,29 +99,7 @@ class Area:
         ways = []
         for turn in turns:
             after = moved(pose, speed_mps * turn.reaction_s, curvature_per_m)
-            extent_m = max(self.extent_m(pose), self.extent_m(after), self.turn_extent_m(after, turn.curvature_per_m))
-            stops_m = self.turn_extent_m(after, turn.curvature_per_m, stop_m)
-            excess_m = max(extent_m - self.radius_m, stops_m - self.stop_radius_m)
-            circle_m = self.circle_extent_m(after, turn.curvature_per_m)
-            ways.append(WayOut(extent_m, excess_m, max(excess_m, circle_m - self.radius_m)))
+            extent_m = max(self.extent_m(pose), self.extent_m(after), self.circle_extent_m(after, turn.curvature_per_m))
+            stops_m = self.circle_extent_m(after, turn.curvature_per_m, stop_m)
+            ways.append(WayOut(extent_m, max(extent_m - self.radius_m, stops_m - self.stop_radius_m)))
         return ways
-
-
-def _inward_after_rad(ratio, middle_rad):
-    """After which angle of a left turn the car looks inward, 0 to 2π.
-
-    Args:
-        ratio: of the turn's radius to the distance of its center from the area's.
-        middle_rad: the direction of the turn's center, as seen from the area's, in the car's frame.
-    """
-    # With φ = middle_rad less what was turned it looks inward where −cos φ ≥ c √(1 + ratio² − 2 ratio sin φ): a
-    # quadratic equation for sin φ.
-    square = math.cos(INWARD_RAD) ** 2
-    root = 1 - square + square * ratio * ratio * (square - 1)
-    if root < 0:
-        return 2 * math.pi  # it never does
-    low, high = square * ratio - math.sqrt(root), square * ratio + math.sqrt(root)
-    first_rad = math.pi - math.asin(max(-1.0, low))
-    last_rad = math.pi - math.asin(min(1.0, high))
-    turned_rad = (middle_rad - first_rad) % (2 * math.pi)
-    return 0.0 if turned_rad >= 2 * math.pi - (first_rad - last_rad) else turned_rad

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.calibration.drive.area import INWARD_RAD, Pose, moved
+from car_interface.tools.calibration.drive.area import Pose, moved
 from car_interface.tools.calibration.drive.outlook import BY_HAND, FREE_MPS, REACTION_S, Outlook, beside_middle
 from car_interface.tools.calibration.drive.positions import Candidate, Hold
 from car_interface.tools.calibration.drive.survey import (
@@ -116,7 +116,7 @@ class Choices:
         positions, area, turn_per_m = self._survey.positions, self._outlook.area, self._outlook.turns_per_m()[side]
         for candidate in positions.candidates(lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
             curvature = positions.least_per_m(candidate.duty)
-            if (candidate.need > least_need and area.turn_extent_m(pose, curvature) <= area.radius_m
+            if (candidate.need > least_need and area.circle_extent_m(pose, curvature) <= area.radius_m
                     and self._outlook.sonar_mps(curvature, now_ns) >= SEEN_MPS):
                 return candidate
         return None
@@ -313,7 +313,7 @@ class Pilot:
         if not look.area.has_circle(turn_per_m):
             return False
         sought = self._lost.seek(lost)
-        is_free = (look.ways_out(self._hold, now_ns)[lost].circle_excess_m <= -ACROSS_M * (1 - sought)
+        is_free = (look.ways_out(self._hold, now_ns)[lost].excess_m <= -ACROSS_M * (1 - sought)
                    and look.sonar_mps(turn_per_m, now_ns) >= FREE_MPS)
         if sought < 1:
             self._turn(now_ns, lost if is_free else 1 - lost, tightest=not is_free)
@@ -387,9 +387,7 @@ class Pilot:
         seen = [look.sonar_mps(turn, now_ns) for turn in look.turns_per_m()]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return seen.index(max(seen))
-        # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
-        is_inward, ways = look.area.inward_rad(self._motion.pose) < INWARD_RAD, look.ways_out(self._hold, now_ns)
-        excesses = [way.circle_excess_m if is_inward else way.excess_m for way in ways]
+        excesses = [way.excess_m for way in look.ways_out(self._hold, now_ns)]
         if max(excesses) > 0:
             return excesses.index(min(excesses))
         needs = self._choices.turns_needs()

@@ -121,12 +121,12 @@ def test_a_turn_goes_on_at_what_was_measured_without_coming_to_it_anew():
 
 
 def test_a_person_is_asked_to_place_it_where_no_way_leads_to_the_turns_that_are_missing(monkeypatch):
-    offer(monkeypatch, Candidate(6400, 5.0, 0), Candidate(4096, 1.2, 0))
+    offer(monkeypatch, Candidate(3900, 5.0, 0), Candidate(6160, 1.2, 0))
     monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [-5.0, -5.0])
-    one = car(fits=False)
+    one = car(fits=False, radius_m=2.8)
     step = one.run(90, until=lambda step: step.phase == BLOCKED)
-    assert step.speed_mps == 0.0 and step.text.startswith("left turns are missing, and no way leads to one: place the")
-    assert "is about 1.2 m to its left" in step.text
+    assert step.speed_mps == 0.0 and step.text.startswith("right turns are missing, and no way leads to one: place the")
+    assert "is about 1.2 m to its right" in step.text
     assert one.run(2).text == step.text and one.speed_mps == 0.0
     one.holds = False
     one.run(1)
@@ -136,10 +136,10 @@ def test_a_person_is_asked_to_place_it_where_no_way_leads_to_the_turns_that_are_
 
 @pytest.mark.parametrize("need, has_circle", [(0.9, True), (1.2, False)], ids=("nothing_is_missing", "none_fits"))
 def test_nobody_is_asked_in_vain(monkeypatch, need, has_circle):
-    offer(monkeypatch, Candidate(6400, 5.0, 0), Candidate(4096, need, 0))
+    offer(monkeypatch, Candidate(3900, 5.0, 0), Candidate(6160, need, 0))
     monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [-5.0, -5.0])
     monkeypatch.setattr(Area, "has_circle", lambda self, curvature_per_m: has_circle)
-    one = car(fits=False)
+    one = car(fits=False, radius_m=2.8)
     one.run(40)  # with something missing it asks after 31 s
     assert not any(step.phase == BLOCKED for step in one.steps)
 
