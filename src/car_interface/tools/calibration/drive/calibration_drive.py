@@ -56,7 +56,7 @@ class CalibrationDrive(Survey):
     def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
         if self.is_slowed:
             self._stops.discard()
-        self._stops.update(distance_m, self.motion.speed_mps, self.motion.pose.yaw_rad, self._drives, measured_ns)
+        self._stops.update(distance_m, self.motion.speed_mps, self._drives, measured_ns)
         if self._pilot is not None:
             self._pilot.update_motion(distance_m, turned_rad, measured_ns)
 

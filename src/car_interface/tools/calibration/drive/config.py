@@ -33,7 +33,7 @@ class CalibrationDriveConfig:
     max_time_s: float = number("max_time", 300.0, "of the held button; then it ends with what there is", "s",
                                low=30, high=3600)
     # Such as the drag's, less a slope's 0.2 m/s² for each 2 %, where the kind of ESC isn't known. Where it is seen to
-    # stop with less, that counts, and with more once two stops or more without a brake have shown it.
+    # stop with less, that counts.
     braking_mps2: float = number("braking", 0.15, "the deceleration that a stop is certain of", "m/s^2",
                                  low=0.1, high=10)
     # The car from above and its sonars, as throttle_arb takes them; without mounts none is looked at.

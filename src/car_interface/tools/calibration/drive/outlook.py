@@ -20,7 +20,6 @@ COASTS_MPS2 = 0.2  # as long as it wasn't seen to stop: a car's drag, less a gen
 LATE_M = 0.35  # by so much sooner it slows: without a brake its speed is behind what is asked for
 STEP_M = 0.2  # from one pose that is looked at to the next
 SPARE_M = 0.15  # a way isn't begun from where it could stop only just inside
-SLOW_MPS, MAX_SLOW_MPS, SLOW_STOP_M = 0.33, 0.6, 0.42  # at the edge: as fast as it stops within that
 EARLY_MPS = 0.8  # as long as there is no curve
 FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
 QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
@@ -29,6 +28,8 @@ BY_HAND = "by hand or by the manual deadman, then hold the button again"
 
 class Outlook:
     """The way ahead of one car, which stays in an area."""
+
+    slow_mps = 0.33  # at the edge
 
     def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop, stops: Stops):
         self.area = area
@@ -39,8 +40,7 @@ class Outlook:
 
     def _coasts_mps2(self):
         """Return the deceleration once the button is let go."""
-        assumed_mps2 = min(self._config.braking_mps2, COASTS_MPS2, self._stops.least_mps2)
-        return max(assumed_mps2, self._stops.sure_mps2)
+        return min(self._config.braking_mps2, COASTS_MPS2, self._stops.least_mps2)
 
     # --- where it goes ---
 
@@ -75,12 +75,6 @@ class Outlook:
     def now_mps(self) -> float:
         """The speed now; the slow one at least."""
         return max(self.slow_mps, self._motion.speed_mps)
-
-    @property
-    def slow_mps(self) -> float:
-        """The speed at the edge."""
-        sure_mps = stopping_speed_mps(SLOW_STOP_M, RELEASE_S, self._stops.sure_mps2)
-        return max(SLOW_MPS, min(MAX_SLOW_MPS, sure_mps))
 
     def ways_out(self, hold: Hold | None, now_ns: int) -> list[WayOut]:
         """Return what comes of a tight turn to the left, and of one to the right."""

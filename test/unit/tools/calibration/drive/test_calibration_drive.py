@@ -108,10 +108,10 @@ def let_go(one, mps2, yaw_rad):
     one.run(0.2)
 
 
-def test_by_how_it_was_seen_to_stop_it_is_slower_or_faster_from_then_on(monkeypatch):
+def test_by_how_it_was_seen_to_stop_it_is_slower_from_then_on(monkeypatch):
     offer(monkeypatch, Candidate(5184, 1.0, 0))  # all do the same
     speeds_mps = []
-    for mps2 in (0.1, 0.2, 0.8):
+    for mps2 in (0.1, 0.2):
         one = car(fits=False)
         one.run(1)
         for yaw_rad in (0.0, 1.5, 3.0, 4.5):
