@@ -777,6 +777,15 @@ def test_page_that_sends_many_malformed_messages_is_closed(bench):
     assert page.closed == "too many malformed messages" and bench.controls == NOTHING_HELD
 
 
+def test_ticks_come_each_50_ms_and_are_numbered_from_1_on():
+    bench, numbers = Bench(), []
+    for _ in range(200):
+        bench.now_ns += MS
+        numbers.append(bench.phones.step(bench.now_ns))
+    assert [(at_ms, number) for at_ms, number in enumerate(numbers, 1) if number != 0] == [
+        (1, 1), (50, 2), (100, 3), (150, 4), (200, 5)]
+
+
 @pytest.mark.more
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.one_of(

@@ -295,6 +295,15 @@ def test_where_the_car_stands_there_is_nothing():
     assert car.memory.meets(0.0, True) == car.memory.meets(0.0, False) == {}
 
 
+def test_beside_the_car_it_is_remembered_wherever_its_body_is_not():
+    car = Car()
+    car.sees(0.15, "front_left")
+    for point in car.memory._points:
+        point.x_m, point.y_m = 0.25, 0.3  # twice half of the car's width, and more
+    car.sees_nothing("front_left")
+    assert any(abs(point.y_m - 0.3) < 1e-9 for point in car.memory._points)
+
+
 def test_what_stands_beside_the_car_is_in_the_way_of_its_body_alone_without_the_margin():
     """0.02 m beside its flank: straight on it passes, a turn towards it does not."""
     car = Car()

@@ -175,11 +175,16 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
     assert set(config.mounts) == {"front_right", "front_middle", "front_left", "rear_middle"}
     assert (config.field_of_view_rad, config.max_range_m, config.margin_m, config.creep_mps) == (0.4, 3.0, 0.2, 0.1)
     assert config.mounts["front_left"] == Mount(0.40, 0.10, 0.5236)
+    short = Params({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "max_range": 0.9}})
+    assert read(short, ObstacleConfig).max_range_m == 0.9
 
 
 @pytest.mark.parametrize(("values", "name"), [
     ({"obstacle_stop": True}, "sonar_hub/sonars/front_right"),
     ({"obstacle_stop": True, "sonar_hub": {"sonars": {**SONARS, "front_left": [1, 2]}}}, "sonar_hub/sonars/front_left"),
+    ({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "field_of_view": 3.1}}, "sonar_hub/field_of_view"),
+    ({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "max_range": 100.1}}, "sonar_hub/max_range"),
+    ({"obstacle_stop": True, "sonar_hub": {"sonars": SONARS, "max_range": 0.0}}, "sonar_hub/max_range"),
     ({"obstacle": {"sonars": {"rear_left": "no"}}}, "obstacle/sonars/rear_left")])
 def test_what_makes_no_sense_is_refused_by_name(values, name):
     with pytest.raises(ConfigError, match=name):
