@@ -63,6 +63,11 @@ def test_presses_and_releases_are_read_and_repeats_are_not(device, keyboards):
     assert keyboards.read() == []
 
 
+def test_a_keyboard_on_which_nothing_was_pressed_is_not_read(keyboards, monkeypatch):
+    monkeypatch.setattr(Pipe, "read", lambda self: pytest.fail("it was read"))
+    assert keyboards.read() == []
+
+
 @needs_64_bits
 def test_lost_events_are_reported_as_such(device, keyboards):
     """Among them may be a release."""

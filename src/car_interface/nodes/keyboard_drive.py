@@ -19,6 +19,7 @@ from __future__ import annotations
 import glob
 import math
 import re
+import select
 import textwrap
 from contextlib import suppress
 from typing import Any, Callable, Mapping
@@ -88,7 +89,8 @@ class Keyboards:
         events, was_lost = [], False
         for device in list(self._devices):
             try:
-                while True:
+                # Before version 1.4, which Ubuntu 20.04 lacks, evdev loses memory with each read that finds nothing.
+                while select.select([device.fd], [], [], 0)[0]:
                     news = list(device.read())
                     if not news:
                         raise OSError("it was unplugged")
