@@ -90,8 +90,8 @@ def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
     running.supervisor.retry_now()  # or at once, where that is asked for
-    running.update(NEUTRAL)
-    assert running.pulses() == NEUTRAL
+    running.update(LEFT)
+    assert running.pulses() == LEFT
 
 
 def test_pauses_between_attempts_double_to_2_s_until_the_board_was_there_and_are_100_ms_from_then_on(bench):
