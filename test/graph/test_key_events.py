@@ -84,9 +84,10 @@ def test_keyboard_that_is_unplugged_is_reported_once(device, keyboards):
 
 @pytest.mark.parametrize("capabilities, found", [(KEYBOARD, 1), (MOUSE, 0), ({ecodes.EV_SYN: [0]}, 0)],
                          ids=["keyboard", "mouse", "device_without_keys"])
-def test_only_keyboards_are_read(device, capabilities, found):
-    keyboards = opened(device[0], capabilities)
-    assert len(keyboards) == found
+def test_only_keyboards_are_read_and_no_other_device_stays_open(device, capabilities, found):
+    pipes = []
+    keyboards = Keyboards(device[0], lambda path: pipes.append(Pipe(path, capabilities)) or pipes[0])
+    assert (len(keyboards), pipes[0].fd >= 0) == (found, found == 1)
     keyboards.close()
     assert len(Keyboards(device[0])) == 0  # the real ioctl on a pipe fails
 
