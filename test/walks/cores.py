@@ -235,6 +235,10 @@ class Walk:
         getattr(self.turn, update)(value, now_ns)
         self._decide_turn(now_ns, False)
 
+    def _on_teleop_state(self, now_ns):
+        self.turn.explain_human(True, "", now_ns)
+        self._decide_turn(now_ns, False)
+
     def _on_throttle(self, update, value, now_ns):
         getattr(self.throttle.arbiter, update)(value, now_ns)
         if value is not self._duty.get(update):  # the node decides on changes
@@ -496,8 +500,10 @@ class Walk:
         self._start(node)
         if node in ("turn_arb", "throttle_arb", "teleop") and "teleop" not in self._dead:
             # teleop_logi's state, which is latched
-            for arb, arbiter in (("turn_arb", self.turn), ("throttle_arb", self.throttle.arbiter)):
-                self._push(self.now_ns, self._arrive, arb, self._lives.get(arb), arbiter.explain_human, (True, ""))
+            self._push(self.now_ns, self._arrive, "turn_arb", self._lives.get("turn_arb"),
+                       self._on_teleop_state, ())
+            self._push(self.now_ns, self._arrive, "throttle_arb", self._lives.get("throttle_arb"),
+                       self.throttle.arbiter.explain_human, (True, ""))
         if node in ("turn_arb", "throttle_arb"):
             self._heard -= {f"{name}>{node[:-4]}" for name in STOPS}
         for name, link in itertools.product(STOPS, ("turn", "throttle")):
