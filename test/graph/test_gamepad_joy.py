@@ -137,6 +137,16 @@ def test_two_gamepads_are_refused_until_one_is_chosen_or_left(tmp_path):
     assert car.device() == (0, "DualSense Wireless Controller, 8 axes, 13 buttons")
 
 
+def test_without_a_gamepad_one_is_looked_for_twice_a_second_from_the_first_moment_on(tmp_path, monkeypatch):
+    looks, find = [], Computer.find
+    car = Driven(tmp_path)
+    begin_ns = car.graph.now_ns
+    monkeypatch.setattr(Computer, "find", lambda self: looks.append(car.graph.now_ns - begin_ns) or find(self))
+    car.start()
+    assert looks == pytest.approx([0, NS_PER_S // 2, NS_PER_S], abs=5_000_000)
+    assert looks[0] == 0
+
+
 # --- lost events ---
 
 def test_chosen_one_of_two_gamepads_drives(tmp_path):

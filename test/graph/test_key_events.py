@@ -76,10 +76,12 @@ def test_lost_events_are_reported_as_such(device, keyboards):
     assert keyboards.read() == []
 
 
-def test_keyboard_that_is_unplugged_is_reported_once(device, keyboards):
+def test_keyboard_that_is_unplugged_is_reported_once_and_closed(device):
+    pipes = []
+    keyboards = Keyboards(device[0], lambda path: pipes.append(Pipe(path, KEYBOARD)) or pipes[0])
     os.close(device[1])
     assert keyboards.read() is None
-    assert keyboards.read() == [] and len(keyboards) == 0
+    assert keyboards.read() == [] and len(keyboards) == 0 and pipes[0].fd < 0
 
 
 @pytest.mark.parametrize("capabilities, found", [(KEYBOARD, 1), (MOUSE, 0), ({ecodes.EV_SYN: [0]}, 0)],

@@ -12,7 +12,7 @@ from typing import Any, Sequence
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
-from car_interface.common.errors import ConfigError, require
+from car_interface.common.errors import require
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
 
@@ -40,7 +40,8 @@ class SteeringCalibration:
     servo_right: int = declared.duty("servo_right", REQUIRED, "full right", search_parents=True)
     servo_channel: int = declared.channel("servo_channel", REQUIRED, "channel of the servo board", search_parents=True)
     radius_axis_m: Sequence[float] = declared.numbers(
-        "m_turnrad_axis_servo", REQUIRED, "turn radii of the two tables, rising", "m, above 0", search_parents=True)
+        "m_turnrad_axis_servo", REQUIRED, "turn radii of the two tables, rising", "m", low=0.001, high=1_000_000,
+        search_parents=True)
     left_duties: Sequence[float] = declared.duties(
         "k_pwmcmd_left_table_servo", REQUIRED, "the duty for each radius, to each side", search_parents=True)
     right_duties: Sequence[float] = declared.duties(
@@ -56,8 +57,6 @@ class SteeringCalibration:
                 "servo_center", self.servo_center,
                 f"a duty between servo_left {self.servo_left} and servo_right {self.servo_right}")
         require(self.servo_left != self.servo_right, "servo_right", self.servo_right, "a duty other than servo_left's")
-        if self.radius_axis_m and self.radius_axis_m[0] <= 0:
-            raise ConfigError("m_turnrad_axis_servo[0]", self.radius_axis_m[0], "a radius above 0 m")
         for name, duties, parameter in (("_left", self.left_duties, "k_pwmcmd_left_table_servo"),
                                         ("_right", self.right_duties, "k_pwmcmd_right_table_servo")):
             object.__setattr__(self, name, LookupTable(self.radius_axis_m, duties, "m_turnrad_axis_servo", parameter))

@@ -89,7 +89,6 @@ def test_tables_with_fractions_are_interpolated_before_they_are_rounded():
     ({"servo_center": 3799}, "servo_center is 3799; accepted: a duty between servo_left 3800 and servo_right 6700"),
     ({"servo_center": 6701}, "servo_center is 6701; accepted: a duty between servo_left 3800"),
     ({"servo_left": 5100, "servo_right": 5100}, "servo_right is 5100; accepted: a duty other than servo_left's"),
-    ({"radius_axis_m": [0, 1]}, r"m_turnrad_axis_servo\[0\] is 0; accepted: a radius above 0 m"),
     ({"radius_axis_m": []}, r"m_turnrad_axis_servo is \[\]; accepted: at least two"),
     ({"radius_axis_m": [2, 1]}, r"m_turnrad_axis_servo\[1\] is 1; accepted: more than"),
     ({"left_duties": [3800]}, "k_pwmcmd_left_table_servo is .3800.; accepted: 15 numbers"),

@@ -1,6 +1,7 @@
 """The steering's parameters, from the parameter server or from a YAML file."""
 
 import ast
+import math
 import re
 from pathlib import Path
 
@@ -41,6 +42,23 @@ def test_calibration_comes_from_the_original_names():
     lowest = {**PARAMETERS, "servo_left": 0, "servo_center": 0, "servo_right": 1, "servo_channel": 15, "understeer": 1,
               "k_pwmcmd_left_table_servo": [0] * 15, "k_pwmcmd_right_table_servo": [0] * 15}
     assert read(Params(lowest), SteeringCalibration) == SteeringCalibration(*lowest.values())
+
+
+@pytest.mark.parametrize("radii_m, message", [
+    ([0.001, 1_000_000], ""), ([0, 1], r"\[0\] is 0;"), ([0.0009, 1], r"\[0\] is 0.0009;"),
+    ([1, 1_000_001], r"\[1\] is 1000001;")])
+def test_radius_with_which_nothing_can_be_computed_is_refused(radii_m, message):
+    parameters = {**PARAMETERS, "m_turnrad_axis_servo": radii_m, "understeer": 1,
+                  "k_pwmcmd_left_table_servo": [4000, 5000], "k_pwmcmd_right_table_servo": [6000, 5200]}
+    if message:
+        with pytest.raises(ConfigError, match=rf"m_turnrad_axis_servo{message} accepted: a number from 0.001 to 1000000"):
+            read(Params(parameters), SteeringCalibration)
+        return
+    calibration = read(Params(parameters), SteeringCalibration)
+    for speed_mps in (0.0, 0.1, 14.0, 100.0):
+        driven_m = [abs(calibration.turn_radius_m(duty, speed_mps)) for duty in (4000, 4500, 4999, 6000)]
+        assert all(0.0009 < radius_m < math.inf for radius_m in driven_m), (speed_mps, driven_m)
+        assert 4000 <= calibration.planner_duty(driven_m[1], speed_mps) <= 5000
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
