@@ -158,10 +158,10 @@ def test_servo_board_rests_where_center_and_neutral_were_tuned_to_also_when_it_o
 def test_neutral_of_the_esc_glides(folder):
     tuned = Tuned(folder)
     at_ns = tuned.graph.now_ns
-    assert tuned.tune(neutral=NEUTRAL + 40)["neutral"] == NEUTRAL + 40
+    assert tuned.tune(neutral=NEUTRAL + 80)["neutral"] == NEUTRAL + 80
     duties = [duty for _, duty in tuned.duties(ESC, at_ns)]
-    assert duties[-1] == NEUTRAL + 40 and {b - a for a, b in zip(duties, duties[1:])} <= {0, 1, 2}
-    assert tuned.graph.report("throttle_arb: throttle").values["tuned live"] == "neutral 4915 → 4955"
+    assert duties[-1] == NEUTRAL + 80 and {b - a for a, b in zip(duties, duties[1:])} == {0, 2}  # 100 in a second
+    assert tuned.graph.report("throttle_arb: throttle").values["tuned live"] == "neutral 4915 → 4995"
 
 
 def test_saved_values_are_there_at_the_next_start_and_comments_and_old_files_stay(folder):

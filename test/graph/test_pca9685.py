@@ -113,6 +113,7 @@ def test_what_is_no_duty_is_refused_and_its_neighbours_are_taken(servos, wrong):
     servos.graph.run(1.0)
     report = servos.graph.report("pca9685: servo board")
     assert (report.values["commands refused"], report.values["commands length"]) == ("1", "0")
+    assert report.values["commands dropped after this node stood still"] == "0"
 
 
 def test_each_channel_goes_to_its_timeout_value_after_250_ms_without_a_command_for_it(servos):

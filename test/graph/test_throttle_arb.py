@@ -341,6 +341,9 @@ def test_planner_reverses_by_its_gear_and_stops_with_the_reason_of_planner_inter
     arb.run(2.0)
     assert (arb.state.esc_cause, arb.now[::2]) == ("reversing", (ThrottleState.PLANNER, 4260))  # 4915 − 2 / 5 · 1638
     assert any(line.startswith("ESC REVERSE: ") for line in arb.graph.lines("/throttle_arb"))
+    # The ESC has gone through several states, and each line about who drives is there once.
+    assert [line for line in arb.graph.lines("/throttle_arb") if line.startswith("PLANNER: ")] == [
+        "PLANNER: the planner's value is -2.000"]
     arb.hold(planner=PlannerState(cause="planner silent", gear="reverse", reason="drive silent for 0.50 s"))
     assert (arb.state.cause, arb.now) == (
         "planner silent", (ThrottleState.NEUTRAL, "drive silent for 0.50 s", NEUTRAL))

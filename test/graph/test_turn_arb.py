@@ -220,6 +220,16 @@ def test_request_at_its_limit_is_not_warned_of(name, value):
     assert Arb().drive(**{name: value}).warnings() == []
 
 
+def test_line_follows_its_change_by_two_or_three_ticks_which_the_gamepad_s_state_may_be_late():
+    arb = Arb().drive(teleop=1.0)
+    arb.run(0.1)
+    at_ns = arb.graph.now_ns
+    arb.once("human", False)
+    arb.run(0.1)
+    (line,) = [line for line in arb.graph.log if line.at_ns >= at_ns]
+    assert line.text == "NO_HUMAN: human_in_loop is false" and 20_000_000 <= line.at_ns - at_ns <= 31_000_000
+
+
 def test_log_has_a_line_for_each_change_of_source_or_cause_and_warns_of_losses():
     arb = Arb()
     arb.run(0.1)

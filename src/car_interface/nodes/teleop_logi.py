@@ -107,12 +107,11 @@ class TeleopLogi:
 
     def _tick(self, now_ns):
         requests = self._handover.requests(now_ns)
-        has_changed = self._publish(requests, now_ns)
+        self._publish(requests, now_ns)
         repeats = self._timer.ticks % TICKS_PER_STATE == 0
         self._publish_scale_button(now_ns, repeats)
         if repeats:
             self._modes.publish(requests.mode)
-        if repeats and not has_changed:
             self._publish_state(requests, now_ns)
 
     def _publish_if_changed(self, now_ns):
@@ -124,7 +123,7 @@ class TeleopLogi:
             self._publish(requests, now_ns)
 
     def _publish(self, requests, now_ns):
-        """Publish the requests, and the state when it is of another kind than before; return whether it is."""
+        """Publish the requests, and the state when it is of another kind than before."""
         before, self._published = self._published, requests
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
@@ -140,14 +139,12 @@ class TeleopLogi:
             self._modes.publish(requests.mode)
         if requests.human_in_loop:
             self._human.publish(True)
-        has_changed = before is None or before.kind != requests.kind
-        if has_changed:
+        if before is None or before.kind != requests.kind:
             self._publish_state(requests, now_ns)
         if before is None or before.cause != requests.cause:
             self._losses.update({requests.cause} & causes.LOSSES)
         if self._log_filter.is_new(requests, now_ns):
             self._log(requests)
-        return has_changed
 
     def _publish_scale_button(self, now_ns, repeats=False):
         before, self._scale_button = self._scale_button, self._handover.scale_button(now_ns)
