@@ -184,3 +184,10 @@ def test_with_the_term_it_steers_tighter_the_faster_it_is_and_reads_its_own_duty
         assert car.turn_radius_m(car.planner_duty(side * 5.0, 4.0), 4.0) == pytest.approx(side * 5.0, rel=0.02)
     assert car.turn_radius_m(5100, 4.0) == math.inf
     assert car.planner_duty(1.2, 8.0) == SLASH.servo_left
+
+
+def test_without_a_speed_a_car_is_taken_to_stand():
+    car = replace(SLASH, understeer=1.0)
+    assert car.planner_duty(5.0) == SLASH.planner_duty(5.0) != car.planner_duty(5.0, 1.0)
+    assert car.tightest_radius_m(1.0) == SLASH.tightest_radius_m(1.0) < car.tightest_radius_m(1.0, 1.0)
+    assert car.turn_radius_m(4400) == SLASH.turn_radius_m(4400) < car.turn_radius_m(4400, 1.0)
