@@ -446,10 +446,16 @@ def is_at_rest(pin: int, counts: tuple[int, ...]) -> bool:
 
 
 class Judged(NamedTuple):
-    """What a run showed: violated goals, and the longest reaction beyond time-out and delays, s."""
+    """What a run showed.
+
+    Attributes:
+        violations: of goals.
+        figures: the longest reaction, s, and what of it is beyond time-out and delays; the longest time of throttle
+            without steering, s; the highest speed backward, m/s.
+    """
 
     violations: list[str]
-    excess_s: float
+    figures: tuple[float, float, float, float]
 
 
 def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
@@ -478,10 +484,11 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
         graph.after(after_s, lambda: drive.act(case.action))
     graph.run(end_s)
     end_ns = graph.now_ns
-    found, excesses = [], [-math.inf]
+    found, reactions, excesses = [], [0.0], [-math.inf]
 
     def judge(pin, what, since_ns, until_ns, bound_s):
-        excesses.append(drive.rest_after(pin, since_ns, until_ns) - bound_s)
+        reactions.append(drive.rest_after(pin, since_ns, until_ns))
+        excesses.append(reactions[-1] - bound_s)
         if excesses[-1] > TICK_S + 1e-9:
             found.append(f"{what}: {('servo', 'ESC')[pin]} at rest {excesses[-1]:.4f} s after {bound_s:.2f} s")
 
@@ -495,7 +502,8 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
     alone_s = longest_alone_s(drive.car.board.changes, end_ns)
     if not kind.centers and alone_s > TOGETHER_S + kind.delay_s:
         found.append(f"G3: throttle without steering for {alone_s:.2f} s")
-    return Judged([f"{each}: {case}" for each in found], max(excesses))
+    figures = max(reactions), max(excesses), alone_s, max(0.0, -slowest_mps)
+    return Judged([f"{each}: {case}" for each in found], figures)
 
 
 def longest_alone_s(changes, end_ns) -> float:
