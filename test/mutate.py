@@ -13,6 +13,7 @@ import argparse
 import ast
 import importlib
 import io
+import math
 import os
 import random
 import re
@@ -40,8 +41,10 @@ WHOLE = re.compile(r"interlock/|common/staleness|(steering|throttle)/arbiter|pla
                    r"|pca9685/(channels|guard)|teleop/(gamepad|phone)")
 # What decides. The Teensy's link and sensing belong to it: limits, obstacle stop and interlock go by their values.
 PARTS = ("interlock", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link", "teensy/sensing", "nodes")
-# A mutant is killed by tests that take this many times as long as in the clean run, and so much more.
+# A mutant is killed by tests that compute this many times as long as the clean run took, and so much more. What only
+# takes long may be held up by other programs.
 LIMIT_FACTOR, LIMIT_EXTRA_S = 3.0, 15.0
+WAITING_FACTOR = 4.0  # a mutant that waits without end is killed after this many times as long
 MAX_MEMORY = 8 * 2 ** 30  # bytes: for a mutant that appends without end
 
 OPERATORS = {ast.Lt: "< <=", ast.LtE: "<= <", ast.Gt: "> >=", ast.GtE: ">= >", ast.Eq: "== !=", ast.NotEq: "!= ==",
@@ -339,6 +342,7 @@ class Slot:
     def _run(self, job):
         os.setsid()
         resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY, MAX_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(job.limit_s),) * 2)
         log = os.open(str(self._folder / "log"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), log, log)):
             os.dup2(file, number)
@@ -374,7 +378,7 @@ class Slot:
         """Return how the job ended, or None while it runs."""
         pid, status = os.waitpid(self._pid, os.WNOHANG)
         took_s = time.monotonic() - self._begun_s
-        if not pid and took_s < self.job.limit_s:
+        if not pid and took_s < WAITING_FACTOR * self.job.limit_s:
             return None
         self.end()
         if not pid:

@@ -451,7 +451,7 @@ class Judged(NamedTuple):
     Attributes:
         violations: of goals.
         figures: the longest reaction, s, and what of it is beyond time-out and delays; the longest time of throttle
-            without steering, s; the highest speed backward, m/s.
+            without steering, s, where this is a fault; the highest speed backward, m/s.
     """
 
     violations: list[str]
@@ -499,8 +499,8 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
     slowest_mps = min(each.twist.twist.linear.x for each in graph.messages("/car_sim/truth", drive.begin_ns))
     if slowest_mps < -NOISE_MPS and not (kind.holds and case.esc not in ("brake_then_reverse", "forward_only")):
         found.append(f"G2: it drove backward at {slowest_mps:.2f} m/s")
-    alone_s = longest_alone_s(drive.car.board.changes, end_ns)
-    if not kind.centers and alone_s > TOGETHER_S + kind.delay_s:
+    alone_s = 0.0 if kind.centers else longest_alone_s(drive.car.board.changes, end_ns)
+    if alone_s > TOGETHER_S + kind.delay_s:
         found.append(f"G3: throttle without steering for {alone_s:.2f} s")
     figures = max(reactions), max(excesses), alone_s, max(0.0, -slowest_mps)
     return Judged([f"{each}: {case}" for each in found], figures)
