@@ -444,14 +444,10 @@ def learning_pulses(before: Wheel, now: Wheel) -> tuple[int, int]:
     """
     learning = 1 if now.direction != NO_DIRECTION and now.dist == 2 else LEARNING_PULSES
     unproven = max(0, min(now.dist_abs, learning) - before.dist_abs)
-    if not unproven:
-        return signed_pulses(before, now), 0
-    if now.dist_abs <= learning:
-        return 0, unproven
-    if now.dist <= learning:
-        return signed_pulses(now._replace(dist_abs=learning), now), unproven
-    other = BACKWARD if now.direction == FORWARD else FORWARD
-    return signed_pulses(Wheel(0, other, 0, 0, learning), now), unproven
+    if unproven:  # those that follow began in the other direction if the wheel has reversed since
+        other = BACKWARD if now.direction == FORWARD else FORWARD
+        before = before._replace(direction=other, dist_abs=before.dist_abs + unproven)
+    return signed_pulses(before, now), unproven
 
 
 def _settled(pulses, unsplit, before, rolled, now):

@@ -159,7 +159,7 @@ class Pose:
     def move(self, distance_m: float, turned_rad: float) -> None:
         """Move along an arc: its chord is distance · sin(h) / h long, in the mean heading (h: half the turn)."""
         half_rad = turned_rad / 2
-        chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+        chord_m = distance_m * (math.sin(half_rad) / half_rad if half_rad else 1.0)
         self.yaw_rad += half_rad
         step = cmath.rect(1.0, self.yaw_rad) * chord_m
         self.x_m += step.real
