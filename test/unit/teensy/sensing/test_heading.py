@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.sensing.pose import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.pose import CURVATURE_NOISE, CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 
 STEP_M, STEP_S = 0.015, 0.015
 
@@ -15,6 +15,21 @@ def drive(heading, curvature_per_m, steps, variance=1e-5):
         yaw_rad += curvature_per_m * STEP_M
         heading.update(yaw_rad, variance)
     return yaw_rad
+
+
+def test_heading_begins_as_certain_as_one_of_1_mrad_and_tells_nothing_of_the_curvature():
+    heading = HeadingFilter()
+    heading.update(0.004, 0.001 ** 2)
+    assert (heading.yaw_rad, heading.curvature_per_m) == (pytest.approx(0.002), 0.0)
+
+
+def test_unknown_curvature_opens_the_heading_by_its_sigma_times_the_way_however_that_is_divided():
+    """After a metre it is as open as what is measured here, and all of what is off comes from the curvature."""
+    heading = HeadingFilter()
+    for _ in range(2):
+        heading.predict(0.5, 0.0)
+    heading.update(1.0, CURVATURE_VARIANCE * 1.0 ** 2)
+    assert (heading.yaw_rad, heading.curvature_per_m) == pytest.approx((0.5, 0.5), abs=1e-5)
 
 
 @pytest.mark.parametrize("curvature_per_m", [-1.0, 0.0, 1.2])
@@ -57,10 +72,15 @@ def test_commanded_curvature_counts_the_more_the_longer_it_lasts_and_nothing_for
     assert once.curvature_variance > long.curvature_variance
 
 
-def test_commanded_curvature_is_learned_in_the_end_and_one_of_0_is_known_to_0_05_per_m_after_half_a_second():
+@pytest.mark.parametrize("curvature_per_m, sigma_per_m", [(0.0, 0.05), (1.0, 0.35), (-1.0, 0.35)])
+def test_commanded_curvature_is_known_to_0_05_per_m_and_30_percent_after_half_a_second(curvature_per_m, sigma_per_m):
     heading = HeadingFilter()
-    heading.update_curvature(0.0, 0.5)
-    assert heading.curvature_variance == pytest.approx(1 / (1 / CURVATURE_VARIANCE + 1 / 0.05 ** 2))
+    heading.update_curvature(curvature_per_m, 0.5)
+    assert heading.curvature_variance == pytest.approx(1 / (1 / CURVATURE_VARIANCE + 1 / sigma_per_m ** 2))
+
+
+def test_commanded_curvature_is_learned_in_the_end():
+    heading = HeadingFilter()
     for _ in range(1000):
         heading.update_curvature(1.0, 0.5)
     assert heading.curvature_per_m == pytest.approx(1.0, abs=0.1)
@@ -74,3 +94,14 @@ def test_usual_curvature_is_the_largest_of_the_last_metres():
     assert heading.usual_square > 0.4 ** 2  # a slalom passes through the middle, too
     drive(heading, 0.0, 800)
     assert heading.usual_square == 0.0
+
+
+def test_usual_curvature_is_the_mean_of_3_decimetres_and_its_square_fades_over_2_m():
+    heading = HeadingFilter()
+    heading.curvature_per_m = 0.8
+    heading.predict(0.6, 0.6)
+    assert (heading.recent_curvature, heading.usual_square) == pytest.approx((0.8, 0.8 ** 2 - CURVATURE_NOISE ** 2))
+    heading.curvature_per_m = 0.0
+    heading.predict(0.3, 0.3)
+    assert heading.recent_curvature == pytest.approx(0.0)
+    assert heading.usual_square == pytest.approx(0.8 ** 2 * (1 - 0.3 / 2.0) - CURVATURE_NOISE ** 2)

@@ -127,6 +127,17 @@ def test_speed_is_open_by_2_mps2_for_all_of_the_time_without_counts():
     assert 3 * math.sqrt(axle.reboot(1500).speed_variance) == pytest.approx(2.0 * 1.5, rel=0.01), "both wheels alike"
 
 
+def test_turn_on_the_way_without_counts_is_open_as_if_the_curvature_changed_anywhere_on_it():
+    """By a mean curvature with a third of the variance of one that is unknown, 0.5 (1/m)², over the way's square."""
+    axle = Axle(distance_sigma=0.0, heading_sigma=0.0)
+    start_m = axle.roll((1.0, 1.0), 2.0).x_m
+    motion = axle.reboot(1000)
+    way_m, turn = motion.x_m - start_m, motion.pose_covariance[2][2]
+    along = motion.pose_covariance[0][0] - turn * way_m ** 2 / 4  # what the turn adds is half of it times the way
+    assert way_m == pytest.approx(1.0, abs=0.01)
+    assert turn == pytest.approx(0.5 / 3 * (way_m ** 2 + along), rel=0.01)
+
+
 def test_places_that_are_only_predicted_align_no_wheels():
     axle = Axle()
     axle.roll((0.5, 0.4), 0.15)
@@ -177,6 +188,39 @@ def test_car_that_drove_backward_in_a_curve_unseen_and_then_forward_is_where_bot
     axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), Verdict(True, "", (-40, -64), unsplit=(60, 84)),
                                        (axle.ms,) * 2, axle.ms + 0.5)
     assert axle.motion[1:4] == pytest.approx((pose.x_m, pose.y_m, pose.yaw_rad), abs=0.05)
+
+
+@pytest.mark.parametrize("silent_ms, is_open", [(440, False), (460, True)])
+def test_where_on_the_way_a_car_began_to_turn_is_open_if_no_report_came_for_450_ms(silent_ms, is_open):
+    """A way S that turns by m S, after a straight part u of it, ends m S² (1 − u) / 2 aside; u is in 0 .. 1 − m / 2."""
+    across, count = [], round(silent_ms / 1000 / PULSE_M)
+    for more in (0, 10):  # pulses of the right wheel
+        axle = Axle(distance_sigma=0.0, heading_sigma=0.0)
+        axle.roll((1.0, 1.0), 2.0)
+        axle.ms += silent_ms
+        axle.wheels = [Wheel(0, FORWARD, round(axle.ms), 1, wheel.dist_abs + pulses)
+                       for wheel, pulses in zip(axle.wheels, (count, count + more))]
+        across.append(axle.report((count, count + more), at_ms=axle.ms + 0.5).pose_covariance[1][1])
+    way_m, turned_rad = (count + 5) * PULSE_M, 10 * PULSE_M / TRACK_M
+    expected = (turned_rad * way_m / 2) ** 2 * (1 - turned_rad / way_m / 2) ** 2 / 12
+    assert across[1] - across[0] == pytest.approx(expected if is_open else 0.0, rel=0.15, abs=2e-5)
+
+
+def test_acceleration_is_that_of_both_wheels_backward_negative():
+    for sign in (1, -1):
+        axle = Axle()
+        for hundredth in range(100):
+            axle.roll((sign * hundredth / 100,) * 2, 0.01)
+        assert axle.odometry.acceleration_mps2 == pytest.approx(sign * 1.0, rel=0.2)
+
+
+def test_heading_of_a_car_that_has_not_moved_is_open_by_where_each_wheel_stands_now_and_stood_at_the_start():
+    """Each is somewhere between two magnets, variance 1/12 pulse²: a place is the mean of two, an angle has four."""
+    stands = Wheel(0, FORWARD, 900, 1, 9)
+    motion = Odometry().report(WheelStatus(stands, stands), Verdict(True, "", restarted=True), (900, 900), 1000.0)
+    (xx, _, _), (_, yy, _), (_, _, aa) = motion.pose_covariance
+    assert xx == yy == pytest.approx(2 / 12 / 4 * PULSE_M ** 2 + 0.001 ** 2)
+    assert aa == pytest.approx(4 / 12 * (PULSE_M / TRACK_M) ** 2, rel=0.01)
 
 
 def test_variances_of_speed_and_yaw_rate_are_those_of_the_wheels_sum_and_difference():

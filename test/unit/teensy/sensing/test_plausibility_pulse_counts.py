@@ -26,7 +26,9 @@ def test_signed_pulses_between_two_reports(before, now, pulses):
     (NEW, Wheel(0, FORWARD, 300, 3, 4), (2, 2)),
     (Wheel(0, BACKWARD, 300, 1, 2), Wheel(0, FORWARD, 400, 3, 4), (2, 0)),
     (NEW, Wheel(0, FORWARD, 300, 2, 2), (1, 1)),
+    (NEW, Wheel(0, FORWARD, 300, 5, 7), (1, 2)),  # of the five after them two back, then three forward
     (Wheel(0, FORWARD, 300, 3, 4), Wheel(0, FORWARD, 400, 3, 6), (2, 0)),
-], ids=["first", "first_two", "two_and_two_more", "after_the_first_two", "direction_with_the_second", "later"])
+], ids=["first", "first_two", "two_and_two_more", "after_the_first_two", "direction_with_the_second", "reversed_later",
+        "later"])
 def test_first_two_pulses_after_power_up_are_unproven(before, now, expected):
     assert learning_pulses(before, now) == expected

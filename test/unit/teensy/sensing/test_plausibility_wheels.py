@@ -209,6 +209,12 @@ def test_first_pulses_of_odometers_at_zero_are_unproven_one_of_each_wheel():
     assert (verdict.unproven, verdict.unsplit) == ((1, 1), (0, 0))
 
 
+def test_first_pulse_after_a_reset_is_proven_if_the_other_wheel_still_has_the_time_of_its_last_one():
+    """No tick has come that could tell a reset from a reboot, after which this time is 0."""
+    verdict = crawling().wheels(WheelStatus(forward(1, NEXT.when), NEW._replace(when=LAST.when)))
+    assert (verdict.reason, verdict.pulses, verdict.unproven) == (gates.ODOMETERS_RESET, (1, 0), (0, 0))
+
+
 def test_first_pulse_of_a_wheel_after_a_reset_is_proven_though_the_first_reports_were_lost():
     """The reset keeps the time of its last pulse, and what the firmware knows of its pins."""
     some, stood = crawling(), NEW._replace(when=LAST.when)

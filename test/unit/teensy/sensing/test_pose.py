@@ -25,12 +25,14 @@ def test_quarter_of_a_circle_to_the_left_is_exact_in_one_step():
 
 
 @pytest.mark.parametrize("steps", [1, 10, 1000])
-def test_sigma_of_the_distance_grows_with_its_root_however_it_is_divided(steps):
-    pose = Pose(0.02, 0.0)
+def test_sigmas_of_distance_and_heading_grow_with_the_root_of_the_way_however_it_is_divided(steps):
+    pose, turned = Pose(0.02, 0.0), Pose(0.0, 0.01)
     for _ in range(steps):
         pose.move(4.0 / steps, 0.0)
+        turned.move(4.0 / steps, 0.0)
     covariance = pose.covariance(0.0, 0.0)
     assert covariance[0][0] == pytest.approx((0.02 * 2) ** 2) and covariance[1][1] == 0.0
+    assert turned.covariance(0.0, 0.0)[2][2] == pytest.approx((0.01 * 2) ** 2)
 
 
 def test_uncertain_heading_makes_a_long_straight_uncertain_sideways():
@@ -100,9 +102,9 @@ def test_way_that_is_off_by_as_much_as_the_heading_shows_leads_aside_on_what_fol
 def test_variance_along_the_heading_turns_with_it():
     pose = Pose(0.0, 0.0)
     pose.yaw_rad = math.pi / 2
-    pose.add_variance(0.04, 0.01)
-    (xx, _, _), (_, yy, _), (_, _, aa) = pose.covariance(0.0, 0.0)
-    assert (xx, yy, aa) == pytest.approx((0.0, 0.04, 0.01))
+    pose.add_variance(0.04, 0.01, 0.03, 0.02)  # along it, of it, across it, and of along and across
+    (xx, xy, _), (_, yy, _), (_, _, aa) = pose.covariance(0.0, 0.0)
+    assert (xx, xy, yy, aa) == pytest.approx((0.03, -0.02, 0.04, 0.01))
 
 
 def test_what_is_unknown_below_a_pulse_does_not_accumulate():

@@ -5,7 +5,14 @@ import random
 
 import pytest
 
-from car_interface.teensy.sensing.pose import CURVATURE_NOISE, CURVATURE_VARIANCE, Pose, curved_path, reversed_path
+from car_interface.teensy.sensing.pose import (
+    CURVATURE_NOISE,
+    CURVATURE_VARIANCE,
+    Pose,
+    UnseenPath,
+    curved_path,
+    reversed_path,
+)
 
 
 def drive(legs):
@@ -19,6 +26,7 @@ def drive(legs):
 def test_curvature_that_stayed_leaves_nothing_open():
     assert curved_path(3.0, 1.5, 0.5, 0.0) == curved_path(0.0, 0.0, 0.5, 0.25)
     assert curved_path(4.0, 0.0, 0.02, 0.0) == curved_path(0.0, 0.0, None, 0.0), "a straight"
+    assert curved_path(1.0, 0.1, 0.0, 0.0) == UnseenPath(), "a change of 0.1 1/m is the filter's noise"
 
 
 @pytest.mark.parametrize("distance_m", [2.0, -2.0], ids=["forward", "backward"])
@@ -58,9 +66,20 @@ def test_long_slalom_is_as_uncertain_along_its_way_as_the_average_over_all_that_
     assert (path.along_variance, path.across_variance, path.both_covariance) == pytest.approx(means, rel=0.1)
 
 
-def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
-    assert curved_path(3.0, 0.0, 0.0, 0.25).across_variance > 0.1
-    assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"
+def test_short_way_into_a_curve_is_open_across_by_where_the_curve_began():
+    """A way S that turns by m S, after a straight part u of it, ends m S² (1 − u) / 2 aside; here u is in 0 .. ½."""
+    length_m, mean_per_m = 0.01, 1.0
+    path = curved_path(length_m, mean_per_m * length_m, 0.0, 0.0)
+    assert path.leg == (length_m / 4, 0.0)
+    assert path.across_variance == pytest.approx((mean_per_m * length_m ** 2 / 2) ** 2 * 0.5 ** 2 / 12, rel=0.03)
+
+
+@pytest.mark.parametrize("curvature_per_m", [0.0, None], ids=["straight_before", "stood_before"])
+def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it(curvature_per_m):
+    """Half of a short way S with the curvature c and half with −c end c S² / 4 aside; the mean of c² is a third."""
+    path = curved_path(0.01, 0.0, curvature_per_m, 0.5 ** 2)
+    assert path.across_variance == pytest.approx((0.5 * 0.01 ** 2 / 4) ** 2 / 3, rel=1e-4)
+    assert curved_path(3.0, 0.0, curvature_per_m, 0.5 ** 2).across_variance > 0.1
 
 
 def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been():
