@@ -70,10 +70,10 @@ def test_echo_of_a_stuck_pin_of_unknown_length_or_that_is_not_trusted_makes_no_r
 
 @pytest.mark.parametrize("tick, is_near", [
     (303, False), (4_294_917, False), (4_294_918, True), (4_295_167, True), (4_295_300, False),
-    (2 * 4_294_967 + 1, True), (2 ** 32 - 8, True), (0, True),
+    (2 * 4_294_967 + 1, True), (2 ** 32 - 8, True), (0, True), (2 ** 29 + 250, True), (2 ** 29 + 251, False),
 ])
 def test_around_a_wrap_of_micros_no_echo_is_believed(tick, is_near):
-    """Every 2**32 µs of uptime; 2**32 ms are 1000 of these."""
+    """Every 2**32 µs of uptime; 2**32 ms are 1000 of these, 2**29 ms exactly 125."""
     ranging = Ranging()
     assert (ranging.range(SENSOR, 3357, tick) is None) == is_near
     assert ranging.counts == ({reasons.MICROS_WRAP: 1} if is_near else {})
@@ -82,26 +82,34 @@ def test_around_a_wrap_of_micros_no_echo_is_believed(tick, is_near):
 def test_sensor_that_holds_its_pulse_for_200_ms_is_known_by_its_time_out():
     timeouts_ms = tuple(200.0 if sensor == SENSOR else 38.0 for sensor in range(len(SONARS)))
     ranging = Ranging(RangingConfig(timeouts_ms=timeouts_ms))
-    assert ranges(ranging, 200_000, 191_000, 210_000, 3392) == [INFINITE] * 3 + [pytest.approx(0.5825, abs=1e-3)]
+    assert ranges(ranging, 200_000, 190_000, 210_000, 3392) == [INFINITE] * 3 + [pytest.approx(0.5825, abs=1e-3)]
     assert ranges(ranging, 131_000, 1_500_000) == [None] * 2
     assert ranging.counts == {reasons.HELD: 2} and ranging.clones == {}
 
 
-def test_three_long_pulses_of_one_length_are_a_clone_s_that_is_found_by_itself():
+@pytest.mark.parametrize("other_sensor_us", [NONE_US, 65_000])
+def test_three_long_pulses_of_one_length_are_a_clone_s_that_is_found_by_itself(other_sensor_us):
     ranging = Ranging()
     assert ranges(ranging, 200_000, ONE_METRE_US, 200_100, 200_000, 199_900, 2000, 200_000) == [
         None, pytest.approx(1.0, rel=1e-3), None, None, INFINITE, pytest.approx(0.343, abs=1e-3), INFINITE]
     assert ranging.counts == {reasons.HELD: 3} and ranging.clones == {SENSOR: pytest.approx(200, abs=0.2)}
     assert ranges(ranging, 200_000, sensor=SENSOR + 1) == [None], "the others are what they were"
-    assert ranges(ranging, NONE_US, 200_000) == [INFINITE, None] and ranging.clones == {}, "it was replaced"
+    assert ranges(ranging, other_sensor_us, 200_000) == [INFINITE, None] and ranging.clones == {}, "it was replaced"
 
 
-@pytest.mark.parametrize("echoes_us", [(150_000, 200_000, 150_000, 200_000), (1_500_000,) * 5, (103_500,) * 5],
-                         ids=["lengths_that_differ", "longer_than_a_second", "after_lost_reports"])
-def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_makes_no_range(echoes_us):
+@pytest.mark.parametrize("timeout_us", [110_000, 1_000_000])
+def test_clone_is_found_whose_pulses_last_for_110_ms_to_a_second(timeout_us):
+    ranging = Ranging()
+    assert ranges(ranging, *[timeout_us] * 3) == [None, None, INFINITE] and not ranging.blinks
+
+
+@pytest.mark.parametrize("echoes_us, blinks", [
+    ((150_000, 200_000, 150_000, 200_000), set()), ((1_000_001,) * 5, {SENSOR}), ((103_500,) * 5, set())],
+    ids=["lengths_that_differ", "longer_than_a_second", "after_lost_reports"])
+def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_makes_no_range(echoes_us, blinks):
     ranging = Ranging()
     assert ranges(ranging, *echoes_us) == [None] * len(echoes_us)
-    assert ranging.clones == {}
+    assert ranging.clones == {} and ranging.blinks == blinks
 
 
 def test_median_shows_what_is_new_two_reports_later_and_counts_no_echo_as_farther_than_all():
