@@ -49,7 +49,7 @@ def test_wheel_without_a_pulse_passes_no_magnet_and_stands_in_the_end(wheel):
     for later_ms in (30, 100, 300, STANDS_AFTER_MS):
         before = wheel.speed
         wheel.advance(at_ms + later_ms)
-        assert 20 <= wheel.position <= 21.1 and 0 <= wheel.speed < before
+        assert 20 <= wheel.position <= 21.1 and 0 < wheel.speed < before
     wheel.advance(at_ms + STANDS_AFTER_MS + 1)
     assert wheel.speed == 0.0
 
@@ -67,6 +67,39 @@ def test_wheel_starts_at_the_magnet_that_a_restart_found(wheel):
     wheel.start(WheelStart(60, 0.05, True, [(1, at_ms + 400), (1, at_ms + 420)]), True, at_ms + 420)
     assert wheel.count == 61 and wheel.position == pytest.approx(61, abs=0.1)
     assert wheel.speed == pytest.approx(0.05, rel=0.1)
+
+
+def test_wheel_that_rolled_through_a_restart_is_at_its_magnet_and_its_speed_known_by_15_percent(wheel):
+    wheel.advance(NOW + 400)
+    wheel.start(WheelStart(60, 0.05, True, [(1, NOW + 400)]), True, NOW + 400)
+    assert wheel.speed == 0.05 and wheel.position_variance < 1e-4
+    assert wheel.speed_variance == pytest.approx((1.6 * 0.15 * 0.05) ** 2)
+    wheel.advance(NOW + 500)  # its acceleration is unknown, 2.2e-4, and fades within half a second
+    assert wheel.speed_variance == pytest.approx(
+        1.6 ** 2 * ((0.15 * 0.05) ** 2 + (2.2e-4 * 500 * (1 - math.exp(-0.2))) ** 2), rel=0.02)
+
+
+def test_slow_wheel_whose_pulses_are_not_counted_may_have_accelerated_as_any_other(wheel):
+    at_ms = roll(wheel, 20, 400)
+    wheel.is_uncounted = True
+    wheel.advance(at_ms + 1000)  # Singer's variance of the speed after two time constants
+    singer = 7e-5 ** 2 * 500 ** 2 * (4 * math.exp(-2) - 3 - math.exp(-4) + 2 * 2)
+    assert wheel.speed_variance == pytest.approx(1.6 ** 2 * singer, rel=0.01)
+
+
+def test_wheel_whose_pulses_are_not_counted_for_more_than_two_seconds_stands_or_rolls_as_before(wheel):
+    at_ms = roll(wheel, 40, 20)
+    wheel.is_uncounted = True
+    wheel.advance(at_ms + 2001)
+    assert wheel.speed == 0.0 and wheel.position_variance == pytest.approx(1 / 12)
+    assert wheel.speed_variance == pytest.approx((1.6 * 0.05) ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("late_ms, is_known", [(0.5, True), (0.6, False)])
+def test_pulse_of_the_report_s_own_tick_is_known_by_its_time_and_one_of_a_later_tick_is_not(wheel, late_ms, is_known):
+    at_ms = roll(wheel, 20, 20) + 20
+    wheel.update(1, True, at_ms + late_ms, at_ms)
+    assert (wheel.position_variance < 3.1e-4) == is_known, "0.05² · 1/12 + 0.01²: of half a tick, and of its magnet"
 
 
 def follow(wheel, speed_at, until_ms, begin_ms=NOW):
@@ -100,10 +133,29 @@ def test_first_pulses_after_a_stand_are_those_of_a_car_that_has_just_set_off(whe
         assert wheel.speed == pytest.approx(math.copysign(0.01 * math.sqrt(abs(pulses)), pulses))
 
 
-def test_wheel_whose_pulse_is_overdue_is_right_before_its_magnet(wheel):
-    wheel.update(9, True, NOW + 100, NOW + 100)  # at 0.03 pulses per ms, as one can think
-    wheel.advance(NOW + 150)
-    assert wheel.count + 0.95 < wheel.position < wheel.count + 1
+@pytest.mark.parametrize("after_ms", [50, 60])
+@pytest.mark.parametrize("forward", [True, False], ids=["forward", "backward"])
+def test_wheel_whose_pulse_is_overdue_is_right_before_its_magnet(wheel, forward, after_ms):
+    """By 0.02 pulses. The pulse before was within half a ms, in which the wheel rolls by 0.5/60 at most after 60 ms."""
+    wheel.update(9 if forward else -9, forward, NOW + 100, NOW + 100)  # at 0.03 pulses per ms, as one can think
+    wheel.advance(NOW + 100 + after_ms)
+    rolled = 1 - 0.02 + 0.5 / after_ms
+    assert wheel.position == pytest.approx(9 + rolled if forward else -8 - rolled, abs=0.003)
+
+
+def test_second_look_at_a_wheel_in_the_same_ms_changes_nothing(wheel):
+    at_ms = roll(wheel, 50, 10) + 13
+    looks = []
+    for _ in range(2):
+        wheel.advance(at_ms)
+        looks.append((wheel.position, wheel.speed, wheel.position_variance, wheel.speed_variance))
+    assert looks[0] == looks[1] and looks[0][0] > wheel.count + 1, "its pulse is overdue"
+
+
+@pytest.mark.parametrize("after_ms, speed", [(20, 1 / 19.8), (100, 1 / 100)])
+def test_wheel_is_no_faster_than_if_its_pulse_came_now_when_that_is_later_than_20_ms(wheel, after_ms, speed):
+    wheel.advance(roll(wheel, 100, 19.8) + after_ms)
+    assert wheel.speed == pytest.approx(speed, rel=2e-3)
 
 
 def test_first_pulse_after_uncounted_ones_may_be_as_old_as_the_last_look_at_the_wheel(wheel):
