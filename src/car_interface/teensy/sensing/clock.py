@@ -356,7 +356,7 @@ class ClockLines:
             lowest = min(self._corners, key=lambda line: line[0] + line[1] * middle)
             center = _center(self._corners)
             rise_ns = center[0] - lowest[0] + (center[1] - lowest[1]) * middle
-            ratio = min(1.0, self._gap_ns / rise_ns) if rise_ns > 0 else 0.0
+            ratio = self._gap_ns / rise_ns if rise_ns > self._gap_ns else 1.0
             self._chosen = tuple(low + ratio * (high - low) for low, high in zip(lowest, center))
         return self._chosen
 
