@@ -4,11 +4,12 @@ import pytest
 
 from captures import load, replay
 from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus
+from car_interface.teensy.link.protocol import FORWARD, NO_DIRECTION, Pong, SonarStatus, Wheel, WheelStatus
 from car_interface.teensy.sensing import plausibility
 from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.odometry import Odometry
 
-MS, S = 1_000_000, 1_000_000_000
+US, MS, S = 1_000, 1_000_000, 1_000_000_000
 START_NS = 5_000 * S
 ECHO_US = 5824  # there and back over a metre at 20 °C
 
@@ -80,8 +81,48 @@ def test_queue_is_bounded_and_a_refused_report_in_it_makes_nothing():
     assert len(results) == 10 and not measured.queue and measured.gates.refused == 1
 
 
+FAST_LINE = MeasurementConfig(baud=1_000_000)  # a byte takes 10 µs, a report of the wheels 380
+
+
 def test_report_without_a_newer_pulse_is_as_new_as_its_receipt_and_one_with_it_as_that_pulse():
-    measured = Measurements()
-    first, again, next_ = (measured.wheels(report_of(count), START_NS + at_ms * MS).stamp.time_ns
-                           for count, at_ms in ((0, 0), (0, 100), (1, 200)))
-    assert (again - first, next_ - first) == pytest.approx((100 * MS, 100 * MS), abs=5 * MS)
+    measured = Measurements(FAST_LINE)
+    stamps_ns = [measured.wheels(report_of(count), START_NS + at_us * US).stamp.time_ns - START_NS
+                 for count, at_us in ((0, 0), (0, 50_100), (1, 200_000))]
+    assert stamps_ns == [-380 * US, 50_100 * US, 100_000 * US - 380 * US]
+
+
+@pytest.mark.parametrize("ahead_us, time_ms", [(16_000, 1100.5), (16_001, 1083.999)], ids=["pulse", "receipt"])
+def test_pulse_may_be_16_ms_ahead_of_a_clock_that_has_had_no_pong(ahead_us, time_ms):
+    measured = Measurements(FAST_LINE)
+    measured.wheels(report_of(0), START_NS)  # the middle of tick 1000 was 380 µs ago
+    received_ns = START_NS - 380 * US + 99_500 * US - ahead_us * US
+    assert measured.wheels(report_of(1), received_ns).motion.time_ms == pytest.approx(time_ms, abs=1e-6)
+
+
+@pytest.mark.parametrize("later_ns, used", [(-1, False), (0, True)])
+def test_pong_of_14_bytes_may_come_as_soon_as_the_line_allows(later_ns, used):
+    received_ns = START_NS + (15 + 14) * 10 * US + later_ns
+    sync = Measurements(FAST_LINE).pong(Pong(0, 1000), Answer(START_NS, received_ns - START_NS, 15), received_ns)
+    assert sync.used == used
+
+
+def test_accelerating_car_s_speed_is_uncertain_by_a_third_of_what_it_may_gain_until_its_stamp(monkeypatch):
+    """Without pongs a stamp is good to 251 ms: the Teensy's buffers, and a tick. That bound is three sigma."""
+    def variance(acceleration_mps2):
+        monkeypatch.setattr(Odometry, "acceleration_mps2", acceleration_mps2)
+        return Measurements().wheels(report_of(0), START_NS).motion.speed_variance
+    assert variance(2.0) - variance(0.0) == pytest.approx((2.0 * 0.251 / 3) ** 2)
+
+
+def test_after_a_reboot_that_the_wheels_reveal_stamps_go_by_the_new_clock_from_that_report_on():
+    measured = Measurements(FAST_LINE)
+    measured.sonar(SonarStatus(0, ECHO_US, 100_000), START_NS)
+    parked, rolled = Wheel(0, NO_DIRECTION, 0, 0, 0), Wheel(0, FORWARD, 99_900, 1, 20)
+    first, later = (Wheel(9, FORWARD, tick, 1, count) for tick, count in ((400, 1), (500, 2)))
+    for at_s, wheel in ((1, rolled), (2, parked)):
+        assert measured.wheels(WheelStatus(wheel, wheel), START_NS + at_s * S)
+    boot, after = (measured.wheels(WheelStatus(wheel, wheel), START_NS + at_ms * MS)
+                   for wheel, at_ms in ((first, 3000), (later, 3150)))
+    assert measured.gates.counts[plausibility.CLOCK_RESTARTED] == 1
+    assert boot.stamp.time_ns == START_NS + 3000 * MS - 380 * US
+    assert after.stamp.time_ns == START_NS + 3100 * MS  # though it came 50 ms late
