@@ -51,9 +51,11 @@ def test_chosen_line_goes_through_the_lowest_times_and_with_a_gap_towards_the_ce
     lines = lines_of(pong(0, NS_PER_MS), pong(60_000, NS_PER_MS))
     lines.choose(30_000, 0.0)
     low_ns, earliest_ns, latest_ns = lines.translate(30_000)
+    lines.choose(30_000, 100_000)
+    assert lines.translate(30_000)[0] - low_ns == pytest.approx(100_000, abs=10)
     lines.choose(30_000, 1e12)
     center_ns = lines.translate(30_000)[0]
-    assert earliest_ns < low_ns < center_ns < latest_ns
+    assert earliest_ns < low_ns < low_ns + 100_000 < center_ns < latest_ns
 
 
 def test_centre_is_that_of_the_polygon_s_area():
