@@ -15,6 +15,7 @@ from car_interface.teensy.sensing.wheel_filter import WheelFilter
 
 TRACK_M, PULSE_M = reboot_accuracy.TRACK_M, reboot_accuracy.PULSE_M
 BEFORE_MS = 10_000.0
+MPS2 = 1.34e-4  # 2 m/s², in pulses/ms²
 REBOOTS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 8
 
 
@@ -56,14 +57,14 @@ class Bridge(RestartBridge):
     Its pulses are counted again after ``blind_ms``; ``places`` is where the wheels are then, if it rolls on.
     """
 
-    def __init__(self, speed=0.066, curvature=0.0, blind_ms=310):
+    def __init__(self, speed=0.066, curvature=0.0, blind_ms=310, has_known_boot=False, positions=(100.5, 100.5)):
         self.speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
         wheels, heading = (WheelFilter(), WheelFilter()), HeadingFilter()
-        for wheel, one in zip(wheels, self.speeds):
-            wheel.count, wheel.position, wheel.speed = 100, 100.5, one
+        for wheel, one, position in zip(wheels, self.speeds, positions):
+            wheel.count, wheel.position, wheel.speed = 100, position, one
         heading.begin(0.0, HEADING_VARIANCE, 0.01)
         heading.curvature_per_m = curvature
-        super().__init__(BEFORE_MS, wheels, heading, TRACK_M)
+        super().__init__(BEFORE_MS, wheels, heading, TRACK_M, BEFORE_MS + blind_ms if has_known_boot else None)
         self.begin_ms, self.places = BEFORE_MS + blind_ms, [100.5 + one * blind_ms for one in self.speeds]
         self.report(self.begin_ms)
 
@@ -71,12 +72,25 @@ class Bridge(RestartBridge):
         """Roll on, the first two pulses of each wheel unproven, until the outcome is ready."""
         speeds, times = speeds or self.speeds, []
         forward = speeds[LEFT] > 0
-        for side, (speed, place) in enumerate(zip(speeds, places or self.places)):
+        for speed, place in zip(speeds, places or self.places):
             first, step = int(place) + forward - place, 1 if forward else -1
-            times += [(self.begin_ms + (first + step * number) / speed, side, number) for number in range(1000)]
-        for at_ms, side, number in sorted(each for each in times if each[0] <= self.begin_ms + lasts_ms):
+            times.append([round(self.begin_ms + (first + step * number) / speed) for number in range(1000)])
+        return self.take(times, step, lasts_ms)
+
+    def speed_up(self, rest_ms=0.0):
+        """Speed up by 2 m/s², at first after a rest; return the outcome and the first magnet whose pulse is counted."""
+        speed = self.speeds[LEFT]
+        times = {place: BEFORE_MS + rest_ms + (math.sqrt(speed ** 2 + 2 * MPS2 * (place - 100.5)) - speed) / MPS2
+                 for place in range(101, 300)}
+        counted = {place: at_ms for place, at_ms in times.items() if at_ms > self.begin_ms}
+        return self.take([list(counted.values())] * 2, 1), min(counted)
+
+    def take(self, times, step, lasts_ms=400):
+        """Take each wheel's pulses at these times, the first two unproven, until the outcome is ready."""
+        for at_ms, side, number in sorted((at_ms, side, number) for side, each in enumerate(times)
+                                          for number, at_ms in enumerate(each) if at_ms <= self.begin_ms + lasts_ms):
             self.report(at_ms)
-            self.add(side, *((1, 0) if number < 2 else (0, step)), round(at_ms))
+            self.add(side, *((1, 0) if number < 2 else (0, step)), at_ms)
             if self.is_ready(at_ms):
                 return self.solve(at_ms)
         raise AssertionError("never ready")
@@ -89,7 +103,25 @@ def test_pulses_that_nobody_counted_are_made_up_for_to_the_magnet(speed):
     first = int(some.places[LEFT]) + (speed > 0)
     assert [wheel.place for wheel in outcome.wheels] == [first, first]
     assert outcome.was_rolling and outcome.wheels[LEFT].forward == (speed > 0)
-    assert 1 / 9 <= outcome.difference_variance < 1
+    assert outcome.difference_variance == pytest.approx(1 / 9), "a whole pulse is three sigma"
+    # On a straight it is sure to 0.05 1/m, and to the turn that a driver can steer within a part of 1.5 s.
+    assert outcome.curvature_per_m == 0.0
+    assert outcome.curvature_variance == pytest.approx(0.05 ** 2 + ((310 / 1500) ** 2 / 3) ** 2)
+
+
+@pytest.mark.parametrize("speed", [0.033, 0.066])
+def test_car_that_speeds_up_on_the_way_is_placed_to_the_magnet(speed):
+    outcome, place = Bridge(speed).speed_up()
+    assert [wheel.place for wheel in outcome.wheels] == [place] * 2
+
+
+def test_parked_car_that_starts_unseen_is_placed_by_its_acceleration_and_turns_on_no_more_than_that():
+    outcome, place = Bridge(0.0, blind_ms=1500).speed_up(rest_ms=1200)
+    assert place == 107, "2 m/s² for 0.3 s are 6 pulses"
+    assert [wheel.place for wheel in outcome.wheels] == [place] * 2
+    # It may have gone and come back with 2 m/s², and have turned by 1 1/m as three sigma on that.
+    farther = MPS2 * 1500 ** 2 / 12
+    assert math.sqrt(outcome.difference_variance) < 1.1 * TRACK_M * math.hypot(1 / 3, 0.05) * math.hypot(farther, 7)
 
 
 def test_wheels_in_a_curve_are_placed_each_by_its_own_distance():
@@ -113,6 +145,47 @@ def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven()
     assert not outcome.was_rolling
 
 
+def test_wheels_that_stood_go_on_from_their_next_magnets_wherever_they_were_before_them():
+    some = Bridge(speed=0.0, positions=(100.05, 100.95))
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 1, BEFORE_MS + 5000)
+    outcome = some.solve(BEFORE_MS + 5000)
+    assert [wheel.place for wheel in outcome.wheels] == [103, 103], "each pulse since 100 was counted"
+    assert outcome.difference_variance == 0.0
+
+
+@pytest.mark.parametrize("interval_ms, was_rolling", [(199, True), (200, False)])
+def test_car_that_is_slower_than_5_pulses_a_second_after_the_restart_is_taken_to_have_started_only_then(
+        interval_ms, was_rolling):
+    some = Bridge()
+    for side in (LEFT, RIGHT):
+        some.add(side, 1, 0, some.begin_ms + 1)
+        some.add(side, 0, 1, some.begin_ms + 1 + interval_ms)
+    assert some.solve(some.begin_ms + 251).was_rolling == was_rolling
+
+
+def test_car_that_started_only_later_keeps_the_curvature_from_before():
+    some = Bridge(speed=0.0, curvature=0.5, blind_ms=750)
+    for side in (LEFT, RIGHT):
+        for count in range(5):
+            some.add(side, 0, 1, BEFORE_MS + 5000 + 20 * count)
+    outcome = some.solve(BEFORE_MS + 5080)
+    assert outcome.curvature_per_m == 0.5  # known to 0.1 1/m, and 1 1/m to the other side is three sigma of 1.5 s
+    assert outcome.curvature_variance == pytest.approx(0.01 + (0.5 * (750 / 1500) ** 2) ** 2)
+
+
+@pytest.mark.parametrize("later_ms, speed", [(0, 0.0), (300, 0.01)], ids=["at_one_time", "one_after_the_other"])
+def test_wheels_that_do_not_roll_over_a_same_time_show_no_curvature(later_ms, speed):
+    some = Bridge(speed=0.0, curvature=0.5)
+    for side in (LEFT, RIGHT):
+        at_ms = BEFORE_MS + 5000 + side * later_ms
+        some.add(side, 1, 0, at_ms)
+        some.add(side, 0, 1, at_ms + later_ms / 3)
+    outcome = some.solve(BEFORE_MS + 5400)
+    assert outcome.curvature_per_m == 0.5
+    assert [wheel.speed for wheel in outcome.wheels] == [speed] * 2
+
+
 @pytest.mark.parametrize("blind_ms, place", [(318, 111), (324, 112)])
 def test_car_that_stopped_unseen_half_way_goes_on_half_a_pulse_before_the_next_magnet(blind_ms, place):
     """From 100.5 it rolled 0.066 / 2 pulses a ms, and then half a pulse on average: to 111.49 or 111.69."""
@@ -122,6 +195,9 @@ def test_car_that_stopped_unseen_half_way_goes_on_half_a_pulse_before_the_next_m
             some.add(side, unproven, 1 - unproven, BEFORE_MS + 5000 + later_ms)
     outcome = some.solve(BEFORE_MS + 5100)
     assert not outcome.was_rolling and [wheel.place for wheel in outcome.wheels] == [place] * 2
+    # One sigma: it stopped after a quarter to all of the time, and had gone faster or slower by 2 m/s² / 3 before.
+    stopped, faster = 0.066 * blind_ms / 4, MPS2 * blind_ms ** 2 / 12
+    assert outcome.mean_variance == pytest.approx(stopped ** 2 + faster ** 2 + 0.3 ** 2)
 
 
 def test_curvature_after_a_reboot_is_as_uncertain_as_the_ticks_of_both_wheels_over_the_same_time():
@@ -169,6 +245,13 @@ def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():
     assert outcome.difference_variance > (0.2 * 10 * TRACK_M) ** 2  # 0.2 1/m on ten pulses each way
 
 
+def test_car_that_reversed_unseen_may_still_be_ahead_of_where_it_was():
+    """From 0.066 to −0.033 pulses a ms, evenly within 620 ms: 10.2 pulses ahead of 100.5."""
+    outcome = Bridge(0.066, blind_ms=620).roll(400, (-0.033, -0.033), (110.7, 110.7))
+    for wheel in outcome.wheels:
+        assert not wheel.forward and abs(wheel.place - 110.7) < 5, "it may have slowed down earlier or later"
+
+
 def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
     some = Bridge()
     for side in (LEFT, RIGHT):
@@ -177,17 +260,29 @@ def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
     assert [some.pending(side) for side in (LEFT, RIGHT)] == [1, 0]
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.066], ids=["parked", "rolling"])
-def test_car_may_have_gone_and_come_back_to_its_speed_by_2_mps2_unseen(speed):
-    some = Bridge(speed, blind_ms=1500)
+@pytest.mark.parametrize("speed, blind_ms, within_s", [(0.0, 1500, 1.5), (0.0, 5000, 2.0), (0.066, 1500, 1.5)],
+                         ids=["parked", "parked_for_long", "rolling"])
+def test_car_may_have_gone_and_come_back_to_its_speed_by_2_mps2_unseen(speed, blind_ms, within_s):
+    some = Bridge(speed, blind_ms=blind_ms)
     if speed:
         outcome = some.roll()
     else:
         for side in (LEFT, RIGHT):
-            some.add(side, 2, 1, BEFORE_MS + 5000)
-        outcome = some.solve(BEFORE_MS + 5000)
-    farther_m = 2.0 * 1.5 ** 2 / 4  # faster for half of the time, slower for the other
+            some.add(side, 2, 1, BEFORE_MS + 9000)
+        outcome = some.solve(BEFORE_MS + 9000)
+    farther_m = 2.0 * within_s ** 2 / 4  # faster for half of the time, slower for the other
     assert 0.99 <= 3 * math.sqrt(outcome.mean_variance) * PULSE_M / farther_m < 1.1
+
+
+@pytest.mark.parametrize("after_ms, has_pulse, may_have_changed", [
+    (99, False, True), (100, False, False), (250, True, True), (251, True, False)])
+def test_speed_is_in_doubt_until_it_is_seen_again_and_not_if_that_takes_so_long_that_the_car_has_stopped(
+        after_ms, has_pulse, may_have_changed):
+    some = Bridge(blind_ms=800)
+    if has_pulse:
+        some.add(LEFT, 1, 0, some.begin_ms + after_ms)
+    changed = MPS2 * (800 + after_ms) / 3 if may_have_changed else 0.0  # 2 m/s² all the time is three sigma
+    assert math.sqrt(some.speed_variance(some.begin_ms + after_ms)) == pytest.approx(changed)
 
 
 def test_straight_car_may_have_turned_as_tightly_as_it_can_unseen():
@@ -220,6 +315,26 @@ def test_parked_car_has_stood_until_the_last_report_before_the_boot(boot_ms, sto
         some.add(side, 2, 1, BEFORE_MS + 2450)
     farther = 1.34e-4 * (2450 - stood_ms) / 3
     assert some.speed_variance(BEFORE_MS + 2450) == pytest.approx(farther ** 2, rel=0.01), "by 2 m/s² all the time"
+
+
+def test_pulses_of_the_first_report_after_a_known_boot_are_spread_evenly_from_the_boot_on():
+    some = Bridge(speed=0.0, has_known_boot=True)
+    some.add(LEFT, 2, 1, some.begin_ms)
+    some.add(RIGHT, 2, 1, some.begin_ms + 100)
+    left, right = (wheel.pulses for wheel in some.solve(some.begin_ms + 300).wheels)
+    assert left == [(1, some.begin_ms), (2, some.begin_ms)]
+    assert right == [(1, some.begin_ms + 20), (2, some.begin_ms + 100)], "each 40 ms, the first after half of that"
+
+
+def test_parked_car_whose_first_report_comes_long_after_a_known_boot_may_have_started_before_it():
+    some = Bridge(speed=0.0, has_known_boot=True)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 7, some.begin_ms + 500)
+        some.add(side, 0, 1, some.begin_ms + 520)
+    outcome = some.solve(some.begin_ms + 520)
+    assert not outcome.was_rolling
+    # Three sigma: by 2 m/s² all the time before the boot, and from there on half of that, by changing it half-way.
+    assert outcome.mean_variance == pytest.approx(0.3 ** 2 + (MPS2 * 310 ** 2 / 6) ** 2 + (MPS2 * 310 ** 2 / 12) ** 2)
 
 
 def test_second_restart_before_anything_was_known_goes_on_from_the_first():
