@@ -116,6 +116,27 @@ def test_what_throttle_arb_handles_late_is_decided_now_so_a_pull_that_the_board_
     assert min(forker.submit(stalls_in_a_stop).result()) > -NOISE_MPS
 
 
+def freezes_in_a_pull():
+    """Have the board's node freeze while a person pulls, for less time than its reports' timeout; these come late."""
+    drive = Drive("human_throttle", "brake_then_reverse")
+    drive.act("pull")
+    drive.graph.run(0.1)
+    begun_ns = drive.graph.now_ns
+
+    def slowest_mps(duration_s):
+        KINDS["output late"].make(drive)
+        drive.graph.nodes["/pca9685"].stall(duration_s, frozen=True)
+        drive.graph.run(1.5)
+        return [min(each.twist.twist.linear.x for each in drive.graph.messages("/car_sim/truth", begun_ns))]
+    return [each for duration_s in (0.35, 0.4, 0.5, 0.6) for each in forked(partial(slowest_mps, duration_s))]
+
+
+@pytest.mark.once
+def test_a_pull_that_the_guard_let_go_of_is_not_given_again_before_whoever_commands_it_can_know(forker):
+    """An ESC that brakes first takes it for reverse, as the car stands by then."""
+    assert min(forker.submit(freezes_in_a_pull).result()) > -NOISE_MPS
+
+
 @pytest.mark.once
 @pytest.mark.parametrize("risk", RESIDUAL)
 def test_what_remains_is_found_by_the_same_judge(forker, risk):
