@@ -51,7 +51,7 @@ def test_radius_with_which_nothing_can_be_computed_is_refused(radii_m, message):
     parameters = {**PARAMETERS, "m_turnrad_axis_servo": radii_m, "understeer": 1,
                   "k_pwmcmd_left_table_servo": [4000, 5000], "k_pwmcmd_right_table_servo": [6000, 5200]}
     if message:
-        with pytest.raises(ConfigError, match=rf"m_turnrad_axis_servo{message} accepted: a number from 0.001 to 1000000"):
+        with pytest.raises(ConfigError, match=rf"axis_servo{message} accepted: a number from 0.001 to 1000000"):
             read(Params(parameters), SteeringCalibration)
         return
     calibration = read(Params(parameters), SteeringCalibration)

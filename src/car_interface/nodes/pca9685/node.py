@@ -147,7 +147,7 @@ class Pca9685:
         self._supervisor = BoardSupervisor(self._open_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
-        self._held_back = 0  # commands that arrived before the guard had left the chip to this node again, or soon after
+        self._held_back = 0  # commands that arrived before the guard had left the chip to this node, or soon after
         self._obeys_from_ns = 0
         self._timeouts: Counter = Counter()  # by channel
         self._timeout_reported_ns = now_ns - NS_PER_S  # when the last one was
