@@ -364,7 +364,7 @@ def test_board_that_does_not_receive_turn_arb_is_given_no_throttle():
 
 class TestBoardWithAGuard:
     @pytest.mark.parametrize("frozen_ms", [1400, 1413, 1427])
-    def test_thawed_node_obeys_only_what_is_sent_0_2_s_later_and_then_gets_throttle(self, frozen_ms):
+    def test_thawed_node_obeys_only_what_is_sent_from_then_on_and_then_gets_throttle(self, frozen_ms):
         chain = Chain(STEERED)
         at_ns = pca9685_lost(lambda node: node.stall(frozen_ms / 1e3, frozen=True))(chain, 0)
         chain.neutral_ms(at_ns, (0, 1))
@@ -376,8 +376,8 @@ class TestBoardWithAGuard:
         assert chain.board.counts[:2] == NEUTRALS
         steered_ns = chain.graph.run_until(lambda: chain.board.counts[0] != CENTER)
         driven_ns = chain.graph.run_until(lambda: chain.drives)
-        assert 200 * MS < steered_ns - thawed_ns <= 210 * MS  # turn_arb's next command
-        assert 700 * MS <= driven_ns - thawed_ns <= 720 * MS  # after it has followed the steering for 0.5 s
+        assert 0 < steered_ns - thawed_ns <= 10 * MS  # turn_arb's next command
+        assert 500 * MS <= driven_ns - thawed_ns <= 520 * MS  # after it has followed the steering for 0.5 s
         assert [counts for _, counts in chain.board.since(at_ns, 0)] == [CENTER, LEFT]
 
     @pytest.mark.parametrize(("do", "fault", "noticed_ms"), [

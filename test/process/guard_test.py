@@ -92,7 +92,7 @@ class OnABus(Guarded):
         process.send(signal.SIGCONT)
         # Without a duration where it was woken before it could notice one by itself.
         process.wait_for_line("node stood still( for .*)?: PCA9685 at 0x40 on .* is at its timeout values; commands "
-                              "count again after 0.2 s")
+                              "count from now on")
         eventually(lambda: self.bus.registers(LED0, 8) == DRIVEN, "the node drives again")
         successor = self.start_on_bus("second")
         successor.wait_for_line("another pca9685 node has this board")

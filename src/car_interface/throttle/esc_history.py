@@ -16,6 +16,9 @@ NEUTRAL_TOLERANCE = 0.01
 # /servo/output comes on change and at 10 Hz. The guard that publishes it in place of a dead pca9685 needs up to 1.5 s
 # to begin. A second after that it is unknown what the board holds.
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
+# The board's guard lets go 200 to 250 ms after the node's last sign of life. After so long without a report a pull that
+# is given on may be a second one.
+LETS_GO_NS = round(0.25 * NS_PER_S)
 
 # The board goes to neutral by itself 250 ms after a command, and 80 ms after a pull, unless calibrate_esc has measured
 # a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). A node that pauses for longer
@@ -192,6 +195,8 @@ class EscHistory:
             self._sent.forget()
             self._held.forget()
         if self._sent.was_released or self._held.was_released:
+            self._drove = False
+        if (self._sent.was_pulled or self._held.was_pulled) and now_ns - self._held_ns > LETS_GO_NS:
             self._drove = False
         if self._forget_ns and self.coasted_ns(now_ns) >= self._forget_ns:
             self._drove = False

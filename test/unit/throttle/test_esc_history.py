@@ -10,7 +10,7 @@ from car_interface.throttle.esc_history import EscHistory
 MS = 1_000_000
 CONFIG = EscConfig(profile="brake_then_reverse", dwell_s=0.3)
 DROVE = [("both", 0.4, 500)]
-BRAKES = [*DROVE, ("both", -0.5, 400)]
+BRAKES = [("both", 0.4, 250), ("both", 0.4, 250), ("both", -0.5, 200), ("both", -0.5, 200)]
 
 
 def played(steps, config=CONFIG):
@@ -43,6 +43,10 @@ def played(steps, config=CONFIG):
     pytest.param([*DROVE, ("both", 0.0, 5000), ("held", 0.0, 10)], False, id="not_while_the_board_is_silent_for_long"),
     pytest.param([*DROVE, ("both", 0.0, 1000), ("held", 0.0, 1000)], True, id="neutral_changes_nothing"),
     pytest.param(BRAKES, True, id="while_it_brakes"),
+    pytest.param([*BRAKES, ("both", -0.5, 250)], True, id="also_if_the_board_is_silent_for_250_ms"),
+    pytest.param([*BRAKES, ("both", -0.5, 260), ("both", -0.5, 20)], False, id="not_after_more_as_its_guard_lets_go"),
+    pytest.param([*DROVE, ("sent", -0.5, 20)], False, id="nor_for_a_pull_that_begins_after_so_long"),
+    pytest.param([*DROVE, ("both", 0.0, 900)], True, id="though_without_a_pull_there_is_none_to_let_go_of"),
     pytest.param([*BRAKES, ("both", 0.0, 20)], False, id="not_after_neutral"),
     pytest.param([*BRAKES, ("both", 0.0, 20), ("both", -0.5, 20)], False, id="nor_when_it_is_pulled_again"),
     pytest.param([*BRAKES, ("held", 0.0, 20), ("held", -0.5, 20)], False, id="nor_after_a_guard_s_neutral"),

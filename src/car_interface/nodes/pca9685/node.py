@@ -29,7 +29,7 @@ from car_interface.common.devices import read_header
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, NS_PER_S, UNCHANGED
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
 from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
 from car_interface.pca9685.board import Board
@@ -46,9 +46,6 @@ from car_interface.ros.runtime import is_respawned, run
 from car_interface.ros.topics import advertise, duty_vector, sender_of, subscribe
 
 OUTPUT_RATE_HZ = 10
-# After a standstill no command is obeyed for so long: who sends it may not have heard yet that the board has let go. An
-# ESC would take a pull that is given again for reverse. Less than a channel's timeout, or it would be reported.
-TELLS_NS = 200 * NS_PER_MS
 SWITCH_OFF_TIMEOUT_S = 1.0  # how long a node that ends tries to switch the chip off
 COMMANDS = ("command", "/servo/cmdVector")
 NEUTRALS = "servo/neutral"
@@ -147,8 +144,7 @@ class Pca9685:
         self._supervisor = BoardSupervisor(self._open_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
-        self._held_back = 0  # commands that arrived before the guard had left the chip to this node, or soon after
-        self._obeys_from_ns = 0
+        self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
         self._timeouts: Counter = Counter()  # by channel
         self._timeout_reported_ns = now_ns - NS_PER_S  # when the last one was
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
@@ -203,13 +199,11 @@ class Pca9685:
         return Board(bus, self._address, self._prescale, self._clocks.sleep)
 
     def _begin_anew(self, still_ns):
-        """Go to the timeout values, and obey no command that was sent before its sender can know that."""
-        now_ns = self._clocks.now_ns()
-        self._inbox.begin_anew(now_ns, still_ns)  # which makes the channels safe
-        self._obeys_from_ns = now_ns + TELLS_NS
+        """Go to the timeout values, and obey no command that was sent before."""
+        self._inbox.begin_anew(self._clocks.now_ns(), still_ns)  # which makes the channels safe
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
-                                              f"commands count again after {TELLS_NS / NS_PER_S} s")
+                                              "commands count from now on")
         self._supervisor.read_back(self._clocks.now_ns())
         self._publish()  # what the guard wrote
         self._update()
@@ -265,7 +259,7 @@ class Pca9685:
                               "Cut its power" + self._guard.outlook())
 
     def _on_command(self, message, now_ns):
-        if self._guard.watch.holds or now_ns < self._obeys_from_ns:
+        if self._guard.watch.holds:
             self._held_back += 1
             return
         try:
