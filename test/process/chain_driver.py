@@ -17,6 +17,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
+from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.ros.topics import send_directly
 
 PERIOD_S = 0.02
@@ -88,6 +89,7 @@ class Driver:
 
 if __name__ == "__main__":
     send_directly()
+    limit_connections()
     rospy.init_node(sys.argv[1], disable_signals=True)
     sys.setswitchinterval(0.0005)  # as the package's nodes: it's their time that is measured
     driver = Driver(sys.argv[2].split(","))

@@ -9,7 +9,10 @@ message of any length that a peer announces. Here
 - a publisher or a service has as long for the header with which it answers; the subscriber then tries again, with
   rospy's back-off,
 - a message or a header that is announced as longer than ``MAX_MESSAGE_SIZE`` or ``MAX_HEADER_SIZE`` closes the
-  connection.
+  connection,
+- a connection that ends takes no other one with it. rospy knows a topic's connections by the numbers of their file
+  descriptors, which the next connection gets again: a publisher then never sent anything to that one, and neither side
+  noticed. It happened where a node that had stood still replaced its connections.
 
 An established connection blocks as before. See http://wiki.ros.org/ROS/TCPROS for the protocol.
 """
@@ -27,6 +30,7 @@ from typing import Any
 
 import rospy
 from rosgraph.network import decode_ros_handshake_header, write_ros_handshake_header
+from rospy import topics
 from rospy.exceptions import TransportException, TransportInitError
 from rospy.impl import tcpros_base, tcpros_pubsub, tcpros_service
 from rospy.impl.transport import INBOUND
@@ -272,6 +276,7 @@ def _limited(read_messages, offset=0):
 def _replacements() -> list[tuple[Any, str, Any]]:
     """Return what takes the place of what in rospy: owner, attribute, new value."""
     transport, topic = tcpros_base.TCPROSTransport, tcpros_pubsub.TCPROSSub
+    connections = topics._TopicImpl
     service, client = tcpros_service.TCPService, tcpros_service.TCPROSServiceClient
     connect, receive_more = transport.connect, tcpros_service.recv_buff
     handle, log_error = tcpros_service.ServiceImpl.handle, tcpros_base.rospyerr
@@ -310,6 +315,7 @@ def _replacements() -> list[tuple[Any, str, Any]]:
             (tcpros_base, "write_ros_handshake_header", _write_header), (tcpros_base, "rospyerr", log_other_error),
             (transport, "connect", connect_or_be_ready_again),
             (tcpros_pubsub, "check_if_still_publisher", _is_still_publisher),
+            (connections, "_remove_connection", _remove_connection), (connections, "check", _locked(connections.check)),
             (topic, "read_messages", _limited(topic.read_messages)),
             (service, "read_messages", _limited(service.read_messages)),
             (client, "read_messages", _limited(client.read_messages, OK_SIZE)),
@@ -325,6 +331,30 @@ def _is_still_publisher(topic, uri):
         return True
     except Exception:
         return False
+
+
+def _remove_connection(self, connections, gone):
+    """Remove a connection from a topic's list and close it. Takes the place of ``_TopicImpl._remove_connection``.
+
+    The kernel takes a closed descriptor out of rospy's epoll by itself.
+    """
+    transport = _transport(gone)
+    connections[:] = [each for each in connections if _transport(each) is not transport]
+    with suppress(Exception):  # of what is called when it has closed
+        gone.close()
+
+
+def _transport(connection):
+    """Return what a queue of messages for a subscriber sends them over, or the connection itself."""
+    return vars(connection).get("_connection", connection)
+
+
+def _locked(check):
+    """Return ``_TopicImpl.check`` so that no connection is added between what it finds and what it removes."""
+    def check_locked(self):
+        with self.c_lock:
+            check(self)
+    return check_locked
 
 
 def _unknown(replacements):

@@ -1,5 +1,6 @@
 """A peer that is silent, slow or announces too much holds up nobody: handshakes and messages of rospy, over sockets."""
 import errno
+import os
 import socket
 import struct
 import threading
@@ -12,12 +13,14 @@ pytest.importorskip("rospy")
 
 import rospy
 from rosgraph.network import encode_ros_handshake_header
+from rospy import topics
 from rospy.impl import tcpros_base, tcpros_pubsub, tcpros_service
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from car_interface.ros import tcpros_limits
 from car_interface.ros.tcpros_limits import MessageTooLong, limit_connections, read_header
+from car_interface.ros.topics import DirectConnection
 from loopback import PATIENCE_S, eventually
 
 MAX_MESSAGE_SIZE = 300_000  # in here
@@ -365,6 +368,64 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
     thread.join()
     eventually(lambda: is_closed(connections[0]))
     assert isinstance(MessageTooLong(), rospy.ServiceException)  # what a caller expects
+
+
+@pytest.fixture
+def publication():
+    """rospy's list of a topic's subscribers, and a function that makes a connection to one."""
+    topic, open_sockets = topics._TopicImpl("/steering", String), []
+
+    def connection():
+        here, there = socket.socketpair()
+        open_sockets.extend((here, there))
+        made = tcpros_base.TCPROSTransport(tcpros_pubsub.TCPROSPub("/steering", String), "/steering")
+        made.set_socket(here, "/board")
+        return made
+    yield topic, connection
+    topic.close()
+    for each in open_sockets:
+        each.close()
+
+
+@pytest.mark.parametrize("queue", [tcpros_pubsub.QueuedConnection, DirectConnection])
+def test_connection_that_ends_late_takes_not_its_successor_with_the_same_descriptor_with_it(publication, queue):
+    topic, connect = publication
+    replaced, first = connect(), connect()
+    for each in (replaced, first):
+        topic.add_connection(queue(each, 10))
+    assert [each.fileno() for each in topic.connections] == [first.fileno()] and replaced.done
+    second, clean_up = connect(), first.cleanup_cb
+
+    def be_replaced_first(gone):
+        second._fileno = os.dup2(second.fileno(), gone.fileno())  # the kernel gives the number again: it is free now
+        topic.add_connection(queue(second, 10))
+        clean_up(gone)
+    first.cleanup_cb = be_replaced_first
+    first.close()
+    assert len(topic.connections) == 1 and not second.done and first.done
+    second.close()
+    os.close(second.fileno())
+    assert not topic.connections
+
+
+def test_no_connection_is_added_while_rospy_looks_for_broken_ones(publication):
+    topic, connect = publication
+    topic.add_connection(connect())
+    looked = []
+
+    def look():
+        looked.append(topic.c_lock.acquire(blocking=False))
+        if looked[0]:
+            topic.c_lock.release()
+
+    def broken():
+        adding = threading.Thread(target=look)
+        adding.start()
+        adding.join()
+        yield topic.connections[0].fileno()
+    topic.connection_poll.error_iter = broken
+    topic.check()
+    assert looked == [False] and not topic.connections
 
 
 @pytest.mark.parametrize("owner, name, value, reason", [
