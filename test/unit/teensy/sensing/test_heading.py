@@ -23,6 +23,15 @@ def test_heading_begins_as_certain_as_one_of_1_mrad_and_tells_nothing_of_the_cur
     assert (heading.yaw_rad, heading.curvature_per_m) == (pytest.approx(0.002), 0.0)
 
 
+def test_heading_that_begins_anew_tells_nothing_of_the_curvature_either():
+    heading = HeadingFilter()
+    drive(heading, 0.5, 60)
+    before = heading.curvature_per_m
+    heading.begin(0.0, 0.001 ** 2)
+    heading.update(0.004, 0.001 ** 2)
+    assert (heading.yaw_rad, heading.curvature_per_m) == (pytest.approx(0.002), before)
+
+
 def test_unknown_curvature_opens_the_heading_by_its_sigma_times_the_way_however_that_is_divided():
     """After a metre it is as open as what is measured here, and all of what is off comes from the curvature."""
     heading = HeadingFilter()

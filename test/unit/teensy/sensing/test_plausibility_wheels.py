@@ -225,6 +225,12 @@ def test_first_pulse_of_a_wheel_after_a_reset_is_proven_though_the_first_reports
     assert (verdict.accepted, verdict.pulses, verdict.unproven) == (True, (1, 1), (0, 0))
 
 
+def test_first_pulse_is_proven_if_the_first_report_is_of_odometers_that_a_reset_has_put_to_zero():
+    some, stood = Gates(), NEW._replace(when=LAST.when)
+    verdicts = judged([report(stood), WheelStatus(forward(1, NEXT.when), stood)], some.wheels)
+    assert (verdicts[1].pulses, verdicts[1].unproven) == ((1, 0), (0, 0))
+
+
 REST = 201
 
 
@@ -296,6 +302,12 @@ def test_first_pulse_does_not_tell_the_reboot_of_a_teensy_that_ran_for_less_than
     judged(crawl(5, start_ms=1700), some.wheels)
     judged([sonar(uptime_ms - 20), sonar(uptime_ms)], some.sonar)
     assert judged(BOOT[:2], some.wheels)[1].boot_tick == boot_tick
+
+
+def test_first_pulse_that_a_later_tick_has_overtaken_tells_no_reboot():
+    some = crawling(ticks=(LAST.when - 20, LAST.when + 100))
+    verdicts = judged([BOOT[0], WheelStatus(Wheel(0, FORWARD, LAST.when + 50, 1, 1), NEW)], some.wheels)
+    assert [verdict.boot_tick for verdict in verdicts] == [None, None]
 
 
 def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
