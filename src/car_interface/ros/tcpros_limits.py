@@ -316,6 +316,7 @@ def _replacements() -> list[tuple[Any, str, Any]]:
             (transport, "connect", connect_or_be_ready_again),
             (tcpros_pubsub, "check_if_still_publisher", _is_still_publisher),
             (connections, "_remove_connection", _remove_connection), (connections, "check", _locked(connections.check)),
+            (topics.Poller, "error_epoll_iter", _confirmed(topics.Poller.error_epoll_iter)),
             (topic, "read_messages", _limited(topic.read_messages)),
             (service, "read_messages", _limited(service.read_messages)),
             (client, "read_messages", _limited(client.read_messages, OK_SIZE)),
@@ -336,7 +337,8 @@ def _is_still_publisher(topic, uri):
 def _remove_connection(self, connections, gone):
     """Remove a connection from a topic's list and close it. Takes the place of ``_TopicImpl._remove_connection``.
 
-    The kernel takes a closed descriptor out of rospy's epoll by itself.
+    The kernel takes a closed connection out of rospy's epoll by itself, where no child process that is about to start
+    holds it; see ``_confirmed``.
     """
     transport = _transport(gone)
     connections[:] = [each for each in connections if _transport(each) is not transport]
@@ -355,6 +357,20 @@ def _locked(check):
         with self.c_lock:
             check(self)
     return check_locked
+
+
+def _confirmed(broken):
+    """Return ``Poller.error_epoll_iter`` so that it names only descriptors that are broken now.
+
+    epoll goes on naming a closed one that a child process still holds, by a number that may be another connection's.
+    """
+    def broken_now(self):
+        for descriptor in broken(self):
+            now = select.poll()
+            now.register(descriptor, select.POLLRDHUP)
+            if now.poll(0):
+                yield descriptor
+    return broken_now
 
 
 def _unknown(replacements):

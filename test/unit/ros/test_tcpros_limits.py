@@ -372,7 +372,7 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 
 @pytest.fixture
 def publication():
-    """rospy's list of a topic's subscribers, and a function that makes a connection to one."""
+    """rospy's list of a topic's subscribers, and a function that makes a connection to one and its other end."""
     topic, open_sockets = topics._TopicImpl("/steering", String), []
 
     def connection():
@@ -380,7 +380,7 @@ def publication():
         open_sockets.extend((here, there))
         made = tcpros_base.TCPROSTransport(tcpros_pubsub.TCPROSPub("/steering", String), "/steering")
         made.set_socket(here, "/board")
-        return made
+        return made, there
     yield topic, connection
     topic.close()
     for each in open_sockets:
@@ -390,11 +390,11 @@ def publication():
 @pytest.mark.parametrize("queue", [tcpros_pubsub.QueuedConnection, DirectConnection])
 def test_connection_that_ends_late_takes_not_its_successor_with_the_same_descriptor_with_it(publication, queue):
     topic, connect = publication
-    replaced, first = connect(), connect()
+    (replaced, _), (first, _) = connect(), connect()
     for each in (replaced, first):
         topic.add_connection(queue(each, 10))
     assert [each.fileno() for each in topic.connections] == [first.fileno()] and replaced.done
-    second, clean_up = connect(), first.cleanup_cb
+    (second, subscriber), clean_up = connect(), first.cleanup_cb
 
     def be_replaced_first(gone):
         second._fileno = os.dup2(second.fileno(), gone.fileno())  # the kernel gives the number again: it is free now
@@ -403,14 +403,32 @@ def test_connection_that_ends_late_takes_not_its_successor_with_the_same_descrip
     first.cleanup_cb = be_replaced_first
     first.close()
     assert len(topic.connections) == 1 and not second.done and first.done
-    second.close()
+    subscriber.close()
+    topic.check()
+    assert second.done and not topic.connections
     os.close(second.fileno())
-    assert not topic.connections
+
+
+def test_end_of_a_connection_that_a_child_process_still_holds_is_not_that_of_another_with_its_descriptor(publication):
+    topic, connect = publication
+    (first, _), (second, subscriber) = connect(), connect()
+    topic.add_connection(first)
+    held = os.dup(first.fileno())  # as by a fork, until the child is another program
+    first.close()
+    second._fileno = os.dup2(second.fileno(), first.fileno())
+    topic.add_connection(second)
+    topic.check()
+    assert topic.connections == [second] and not second.done
+    subscriber.close()
+    topic.check()
+    assert second.done and not topic.connections
+    for each in (held, second.fileno()):
+        os.close(each)
 
 
 def test_no_connection_is_added_while_rospy_looks_for_broken_ones(publication):
     topic, connect = publication
-    topic.add_connection(connect())
+    topic.add_connection(connect()[0])
     looked = []
 
     def look():
