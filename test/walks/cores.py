@@ -449,8 +449,9 @@ class Walk:
     def _lack(self, who):
         """Note what the silence of a hand or an e-stop button must stop. A hand that let go gives way to the other."""
         name = f"{who} silent"
-        if who in STOPS:
-            self.goals.stop(name, self.now_ns, 1.01)
+        if who in STOPS:  # R15: a node that has never received it doesn't miss it
+            actuators = BOTH if f"{who}>turn" in self._heard else (ESC,) if f"{who}>throttle" in self._heard else ()
+            self.goals.stop(name, self.now_ns, 1.01, actuators)
         elif self._hands[who][0]:
             self.goals.stop(name, self.now_ns, 0.27)
             self._rough(0, but=name)
