@@ -34,6 +34,7 @@ from single_faults import (
 BOUNDS_MS = 5, 500, 600, 2500  # of short and of long faults
 ACT, FAULT, ODD = 0.03, 0.004, 0.001  # shares of the steps
 GUARD_NS = 1500 * MS  # until a board's guard that was lost is replaced, surely
+LAST_NS = 1000 * MS  # a pull that the board holds, until it is found again or its guard ends it, and the car's answer
 IN_TURN_NS = 150 * MS  # a command that was replaced so lately may still be the servo's
 BACKWARD_MPS = -0.05
 SLOW_MPS = 0.8  # the person doesn't pull below it: that may want reverse
@@ -121,6 +122,11 @@ class GraphWalk:
         self.car.board.changes[:] = changes[-1:]
         self._seen = 0
         self.graph.log.clear()
+
+    def _lose_board(self):
+        counts = self.car.board.changes[-1][1]
+        if 0 < counts[ESC] < ESC_NEUTRAL:
+            self.goals.hold_pull(self._now_ns + LAST_NS)
 
     # --- person and planner ---
 
@@ -255,6 +261,7 @@ class GraphWalk:
         self._rough(lasts_s + is_board, stop)
         if is_board:
             self._board_busy_until_ns = self._now_ns + round(lasts_s * 1e9) + GUARD_NS
+            self._lose_board()
         if is_stalled:
             node.stall(lasts_s, frozen=how == "frozen")
         else:
@@ -285,6 +292,8 @@ class GraphWalk:
             if "pca9685" in self._busy or self._now_ns < self._board_busy_until_ns:
                 return
             self._board_busy_until_ns = self._now_ns + GUARD_NS
+            if name in ("nacks", "bus"):
+                self._lose_board()
         if name == "power":
             remove_board(self.drive)
             self._board_busy_until_ns += round(lasts_s * 1e9)

@@ -10,12 +10,12 @@ from graph_walk import GraphWalk
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 STEPS = 10_000
 SEEDS = [1] if not IS_ALL else [random.SystemRandom().randrange(10**9) for _ in range(100)]
-FAILED: tuple = ()  # seeds of walks that once broke a goal: they are walked each time
+FAILED = {933898071: 3000}  # seeds of walks that once broke a goal, and until which step: they are walked each time
 
 
 def violations(seed):
     print(f"seed {seed}")
-    return [f"seed {seed}: {each}" for each in GraphWalk(seed).run(STEPS).found]
+    return [f"seed {seed}: {each}" for each in GraphWalk(seed).run(FAILED.get(seed, STEPS)).found]
 
 
 @pytest.mark.once

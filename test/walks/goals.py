@@ -61,6 +61,7 @@ class Goals:
         self._sticks_ns = [0, 0]
         self._counts = [False, False]  # a stick counts once it rested under the deadman
         self._wants_reverse_ns, self._pull_wants = -ROUGH_NS, False
+        self._pull_lasts_until_ns = 0
         self._speed_mps = 0.0
         self._alone_ns: int | None = None
         self._backward_ns: int | None = None
@@ -132,6 +133,10 @@ class Goals:
                 due_ns = min(stop.since_ns + ROUGH_NS, max(stop.due_ns, until_ns + stop.within_ns))
                 self._stops[name] = stop._replace(due_ns=due_ns)
 
+    def hold_pull(self, until_ns: int) -> None:
+        """Take note of a fault by which a pull outlasts the braking until a time, as R2 and R11 say."""
+        self._pull_lasts_until_ns = max(self._pull_lasts_until_ns, until_ns)
+
     def distrust(self) -> None:
         """Take note that the sticks were unreadable: they count once they are centered."""
         self._counts = [False, False]
@@ -177,7 +182,7 @@ class Goals:
     def _look_backward(self, now_ns, drives):
         if self._holders and self._sticks[1] < 0 and self._pull_wants:
             self._wants_reverse_ns = now_ns
-        if drives >= 0 or now_ns - self._wants_reverse_ns <= ROUGH_NS:
+        if drives >= 0 or now_ns - self._wants_reverse_ns <= ROUGH_NS or now_ns <= self._pull_lasts_until_ns:
             self._backward_ns = None
             return
         self._backward_ns = now_ns if self._backward_ns is None else self._backward_ns
