@@ -34,7 +34,7 @@ from single_faults import (
 BOUNDS_MS = 5, 500, 600, 2500  # of short and of long faults
 ACT, FAULT, ODD = 0.03, 0.004, 0.001  # shares of the steps
 GUARD_NS = 1500 * MS  # until a board's guard that was lost is replaced, surely
-LAST_NS = 1000 * MS  # a pull that the board holds, until it is found again or its guard ends it, and the car's answer
+PULL_LASTS_NS = 1000 * MS  # until the board is found again or its guard ends the pull, and until the car's answer
 IN_TURN_NS = 150 * MS  # a command that was replaced so lately may still be the servo's
 BACKWARD_MPS = -0.05
 SLOW_MPS = 0.8  # the person doesn't pull below it: that may want reverse
@@ -123,10 +123,10 @@ class GraphWalk:
         self._seen = 0
         self.graph.log.clear()
 
-    def _lose_board(self):
+    def _hold_pull(self):
         counts = self.car.board.changes[-1][1]
         if 0 < counts[ESC] < ESC_NEUTRAL:
-            self.goals.hold_pull(self._now_ns + LAST_NS)
+            self.goals.hold_pull(self._now_ns + PULL_LASTS_NS)
 
     # --- person and planner ---
 
@@ -261,7 +261,7 @@ class GraphWalk:
         self._rough(lasts_s + is_board, stop)
         if is_board:
             self._board_busy_until_ns = self._now_ns + round(lasts_s * 1e9) + GUARD_NS
-            self._lose_board()
+            self._hold_pull()
         if is_stalled:
             node.stall(lasts_s, frozen=how == "frozen")
         else:
@@ -293,7 +293,7 @@ class GraphWalk:
                 return
             self._board_busy_until_ns = self._now_ns + GUARD_NS
             if name in ("nacks", "bus"):
-                self._lose_board()
+                self._hold_pull()
         if name == "power":
             remove_board(self.drive)
             self._board_busy_until_ns += round(lasts_s * 1e9)
